@@ -1,0 +1,1 @@
+"""Robots and trained policies that ship with cdcsr."""
