@@ -14,7 +14,6 @@ import hashlib
 import json
 import tomllib
 from collections.abc import Iterator
-from functools import cached_property
 from importlib import resources
 from pathlib import Path
 from typing import Annotated, Any, Literal, Self
@@ -181,7 +180,7 @@ class Robot(Part):
     def num_segments(self) -> int:
         return len(self.segments)
 
-    @cached_property
+    @property
     def links(self) -> tuple[tuple[Link, Joint], ...]:
         """Every link with its joint, from the base to the tip."""
         return tuple((s.link, s.joint) for s in self.segments for _ in range(s.links))
@@ -195,7 +194,7 @@ class Robot(Part):
         """Two for each link, x before y, root to tip."""
         return 2 * self.num_links
 
-    @cached_property
+    @property
     def servos(self) -> tuple[Servo, ...]:
         """The servo of each cable, segment by segment."""
         return tuple(s.servo for s in self.segments for _ in s.cables.angles_deg)
@@ -224,7 +223,7 @@ class Robot(Part):
         """[kg]."""
         return self.base.mass + sum(link.mass for link, _ in self.links) + sum(s.mass for s in self.servos)
 
-    @cached_property
+    @property
     def fingerprint(self) -> str:
         """A hash of every number that decides the motion; the name is not part of it."""
         data = self.model_dump(mode="json", exclude={"name"})
@@ -279,7 +278,7 @@ def shipped_robots() -> list[str]:
 
 
 def _cross_errors(data: Any) -> Iterator[InitErrorDetails]:
-    """Errors between sections of possibly broken data; silent where a number is missing or no number."""
+    """Errors between sections of possibly broken data; silent where a number is missing, or wrong in itself."""
 
     def number(*place: str | int) -> float | None:
         value = data
@@ -288,7 +287,9 @@ def _cross_errors(data: Any) -> Iterator[InitErrorDetails]:
                 value = value[key]
             except (KeyError, IndexError, TypeError):
                 return None
-        return float(value) if isinstance(value, int | float) and not isinstance(value, bool) else None
+        if not isinstance(value, int | float) or isinstance(value, bool) or not 0 < value < float("inf"):
+            return None
+        return float(value)
 
     def error(place: tuple[str | int, ...], message: str) -> InitErrorDetails:
         kind = PydanticCustomError("value_error", "{message}", {"message": message})
@@ -309,7 +310,7 @@ def _cross_errors(data: Any) -> Iterator[InitErrorDetails]:
             continue
         for j in range(i + 1):
             length = number("segments", j, "link", "length")
-            if length is not None and length > 0 and offset >= length / 2:
+            if length is not None and offset >= length / 2:
                 yield error(place, f"puts a guide outside its link: must be below half of segments[{j}].link.length ({length / 2:g} m)")
                 break
         below = number("segments", i, "servo", "offset")

@@ -1,0 +1,53 @@
+# Needs only Python 3.11 or newer with venv and pip, and git. `make PYTHON=/path/to/python` picks the interpreter.
+PYTHON ?= python3
+BIN := .venv/bin
+INSTALLED := .venv/.installed
+
+.DEFAULT_GOAL := help
+.PHONY: help setup check test test-all demo clean
+
+help:
+	@echo "make demo      train a small policy and show it in both engines, into demo/"
+	@echo "make test      checks, then the fast tests"
+	@echo "make test-all  checks, then every test"
+	@echo "make check     lint, format, types, import contracts"
+	@echo "make setup     create .venv with the versions in constraints.txt"
+	@echo "make clean     remove .venv, caches and build files"
+
+setup: $(INSTALLED)
+
+$(INSTALLED): pyproject.toml constraints.txt
+	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' || \
+		{ echo "Python 3.11 or newer is needed: make PYTHON=/path/to/python3.11"; exit 1; }
+	@echo "==> creating .venv"
+	@test -x $(BIN)/python || $(PYTHON) -m venv .venv
+	@echo "==> installing the versions in constraints.txt (downloads on the first run)"
+	@$(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt -e '.[dev]'
+	@touch $@
+
+check: setup
+	@echo "==> lint"
+	@$(BIN)/ruff check .
+	@echo "==> format"
+	@$(BIN)/ruff format --check .
+	@echo "==> types"
+	@$(BIN)/pyright
+	@echo "==> import contracts"
+	@$(BIN)/lint-imports
+
+test: check
+	@echo "==> fast tests"
+	@$(BIN)/pytest -n auto
+
+test-all: check
+	@echo "==> all tests"
+	@$(BIN)/pytest -n auto -m 'slow or not slow'
+
+demo: setup
+	@echo "==> demo"
+	@$(BIN)/cdcsr demo --out demo
+
+clean:
+	@echo "==> removing .venv, caches and build files"
+	@rm -rf .venv .pytest_cache .ruff_cache .hypothesis .import_linter_cache build dist *.egg-info
+	@find . -name __pycache__ -type d -prune -exec rm -rf {} +

@@ -1,0 +1,1 @@
+"""MuJoCo: cables are spatial tendons with a length limit."""

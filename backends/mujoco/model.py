@@ -1,0 +1,198 @@
+"""Robot -> MuJoCo model, through MjSpec. Cables are spatial tendons that may not exceed their rest length."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import mujoco
+import numpy as np
+
+from cdcsr.cables import Routing, routing
+from cdcsr.robot import Robot, Segment
+
+_INTEGRATORS = {
+    "implicitfast": mujoco.mjtIntegrator.mjINT_IMPLICITFAST,
+    "implicit": mujoco.mjtIntegrator.mjINT_IMPLICIT,
+    "Euler": mujoco.mjtIntegrator.mjINT_EULER,
+}
+_TOUCH = 1e-9
+"""MuJoCo sees a limit only once it is exceeded. A cable that is straight at the start exceeds it by this much
+(in [m]), so that the first pull acts on the arm and not on a free slider for one step."""
+_GREY, _STEEL, _CABLE, _RED = (0.75, 0.76, 0.8, 1), (0.45, 0.5, 0.58, 1), (0.9, 0.55, 0.1, 1), (0.85, 0.2, 0.2, 1)
+
+
+def build_spec(robot: Robot, meshes: Mapping[str, str] | None = None) -> mujoco.MjSpec:
+    """The robot as an MjSpec, ready to compile or to write as MJCF.
+
+    Degrees of freedom come in the contract's order: free base, sliders, hinges root to tip.
+
+    Args:
+        robot: the description.
+        meshes: file names of visual meshes by part (``base``, ``link_<segment>``, ``slider_<segment>``);
+            without them the parts are drawn as a box, cylinders and balls.
+    """
+    spec = mujoco.MjSpec()
+    spec.modelname = robot.name
+    spec.compiler.degree = False
+    _set_options(spec, robot)
+    for part, file in (meshes or {}).items():
+        spec.add_mesh(name=part, file=file)
+    base = spec.worldbody.add_body(
+        name="base", mass=robot.base.mass, inertia=robot.base.inertia, ipos=[0, 0, 0], explicitinertial=True
+    )
+    base.add_freejoint(name="base")
+    _draw(base, meshes, "base", mujoco.mjtGeom.mjGEOM_BOX, [s / 2 for s in robot.base.size], _GREY)
+    route = routing(robot)
+    _add_sliders(base, robot, route, meshes)
+    guides = _add_arm(base, robot, route, meshes)
+    _add_cables(spec, robot, route, guides)
+    _add_sensors(spec, robot)
+    _add_scenery(spec, robot)
+    return spec
+
+
+def _set_options(spec: mujoco.MjSpec, robot: Robot) -> None:
+    option = spec.option
+    option.timestep = robot.time_step
+    option.gravity = [0, 0, 0]
+    option.integrator = _INTEGRATORS[robot.mujoco.integrator]
+    # Nothing collides. An automatic reset would hide divergence, which must be an error instead.
+    option.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_CONTACT) | int(mujoco.mjtDisableBit.mjDSBL_AUTORESET)
+
+
+def _draw(
+    body: mujoco.MjsBody,
+    meshes: Mapping[str, str] | None,
+    part: str,
+    shape: mujoco.mjtGeom,
+    size: list[float],
+    rgba: tuple[float, ...],
+    pos: tuple[float, float, float] = (0, 0, 0),
+) -> None:
+    """A visual geom: it has no mass and touches nothing."""
+    looks = {"rgba": rgba, "contype": 0, "conaffinity": 0, "density": 0.0, "group": 1}
+    if meshes and part in meshes:
+        body.add_geom(type=mujoco.mjtGeom.mjGEOM_MESH, meshname=part, **looks)
+    else:
+        body.add_geom(type=shape, size=[*size, 0, 0][:3], pos=pos, **looks)
+
+
+def _add_sliders(base: mujoco.MjsBody, robot: Robot, route: Routing, meshes: Mapping[str, str] | None) -> None:
+    parts = [f"slider_{s}" for s, segment in enumerate(robot.segments) for _ in segment.cables.angles_deg]
+    for c, servo in enumerate(robot.servos):
+        height = robot.top - route.guide_offset[c] - route.slider_offset[c]
+        slider = base.add_body(
+            name=f"slider_{c}",
+            pos=[*route.place[c], height],
+            mass=servo.mass,
+            inertia=[0.4 * servo.mass * servo.radius**2] * 3,
+            ipos=[0, 0, 0],  # left out, it would become the body's position
+            explicitinertial=True,
+        )
+        slider.add_joint(name=f"slide_{c}", type=mujoco.mjtJoint.mjJNT_SLIDE, axis=[0, 0, 1], damping=servo.damping)
+        slider.add_site(name=f"pull_{c}", size=[0.002, 0, 0])
+        _draw(slider, meshes, parts[c], mujoco.mjtGeom.mjGEOM_SPHERE, [servo.radius], _STEEL)
+
+
+def _add_arm(
+    base: mujoco.MjsBody, robot: Robot, route: Routing, meshes: Mapping[str, str] | None
+) -> list[list[str]]:
+    """The links with their guides; returns the names of each cable's guides, base to anchor."""
+    guides: list[list[str]] = [[] for _ in robot.servos]
+
+    def add_guides(body: mujoco.MjsBody, cables: list[int], label: str, heights: list[float]) -> None:
+        for c, z in zip(cables, heights, strict=True):
+            name = f"guide_{c}_{label}"
+            body.add_site(name=name, pos=[*route.place[c], z], size=[0.002, 0, 0])
+            guides[c].append(name)
+
+    everyone = list(range(robot.num_cables))
+    add_guides(base, everyone, "base", [robot.top - o for o in route.guide_offset])
+    body, joint_at = base, robot.top
+    j = 0
+    for s, segment in enumerate(robot.segments):
+        for _ in range(segment.links):
+            body = _add_link(body, segment, j, joint_at)
+            link = segment.link
+            _draw(body, meshes, f"link_{s}", mujoco.mjtGeom.mjGEOM_CYLINDER, [link.radius, link.length / 2], _GREY,
+                  (0, 0, link.length / 2))  # fmt: skip
+            passing = [c for c in everyone if route.joints[c] > j]
+            add_guides(body, passing, f"{j}_low", [route.guide_offset[c] for c in passing])
+            add_guides(body, passing, f"{j}_high", [link.length - route.guide_offset[c] for c in passing])
+            joint_at = link.length
+            j += 1
+    body.add_site(name="tip", pos=[0, 0, joint_at], size=[0.01, 0, 0], rgba=_RED)
+    return guides
+
+
+def _add_link(parent: mujoco.MjsBody, segment: Segment, j: int, height: float) -> mujoco.MjsBody:
+    link, joint = segment.link, segment.joint
+    body = parent.add_body(
+        name=f"link_{j}",
+        pos=[0, 0, height],
+        mass=link.mass,
+        inertia=link.inertia,
+        ipos=[0, 0, link.length / 2],
+        explicitinertial=True,
+    )
+    for axis, direction in (("x", [1, 0, 0]), ("y", [0, 1, 0])):
+        body.add_joint(
+            name=f"hinge_{j}_{axis}",
+            type=mujoco.mjtJoint.mjJNT_HINGE,
+            axis=direction,
+            stiffness=joint.stiffness,
+            damping=joint.damping,
+            limited=mujoco.mjtLimited.mjLIMITED_TRUE,
+            range=[-joint.limit, joint.limit],
+        )
+    return body
+
+
+def _add_cables(spec: mujoco.MjSpec, robot: Robot, route: Routing, guides: list[list[str]]) -> None:
+    solref = [robot.constraint.recovery_time, 1.0]
+    impedance = robot.mujoco.impedance
+    solimp = [impedance, impedance, 0.001, 0.5, 2]
+    for joint in spec.joints:
+        if joint.type == mujoco.mjtJoint.mjJNT_HINGE:
+            joint.solref_limit, joint.solimp_limit = solref, solimp
+    for c, servo in enumerate(robot.servos):
+        tendon = spec.add_tendon(
+            name=f"cable_{c}",
+            limited=mujoco.mjtLimited.mjLIMITED_TRUE,
+            range=[0, route.rest_length[c] - _TOUCH],
+            solref_limit=solref,
+            solimp_limit=solimp,
+            width=0.002,
+            rgba=_CABLE,
+        )
+        for site in (f"pull_{c}", *guides[c]):
+            tendon.wrap_site(site)
+        actuator = spec.add_actuator(
+            name=f"servo_{c}",
+            trntype=mujoco.mjtTrn.mjTRN_JOINT,
+            target=f"slide_{c}",
+            ctrllimited=mujoco.mjtLimited.mjLIMITED_FALSE,
+        )
+        actuator.set_to_position(kp=servo.gain)
+
+
+def _add_sensors(spec: mujoco.MjSpec, robot: Robot) -> None:
+    """What State needs and qpos and qvel do not give, in the order simulation.py reads it."""
+    sensor, site, body = mujoco.mjtSensor, mujoco.mjtObj.mjOBJ_SITE, mujoco.mjtObj.mjOBJ_XBODY
+    spec.add_sensor(name="tip_position", type=sensor.mjSENS_FRAMEPOS, objtype=site, objname="tip")
+    spec.add_sensor(name="tip_velocity", type=sensor.mjSENS_FRAMELINVEL, objtype=site, objname="tip")
+    spec.add_sensor(name="base_angular_velocity", type=sensor.mjSENS_FRAMEANGVEL, objtype=body, objname="base")
+    for c in range(robot.num_cables):
+        tendon = mujoco.mjtObj.mjOBJ_TENDON
+        spec.add_sensor(
+            name=f"tension_{c}", type=sensor.mjSENS_TENDONLIMITFRC, objtype=tendon, objname=f"cable_{c}"
+        )
+
+
+def _add_scenery(spec: mujoco.MjSpec, robot: Robot) -> None:
+    """Light and sight for viewers; no influence on the motion."""
+    middle = (robot.top + robot.arm_length) / 2
+    spec.stat.center = [0, 0, middle]
+    spec.stat.extent = float(np.hypot(robot.arm_length, robot.base.size[0]))
+    spec.worldbody.add_light(pos=[2, -3, robot.arm_length + 2], dir=[-0.4, 0.6, -0.7], type=mujoco.mjtLightType.mjLIGHT_DIRECTIONAL)
+    spec.visual.headlight.ambient = [0.4, 0.4, 0.4]

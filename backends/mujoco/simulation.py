@@ -1,0 +1,161 @@
+"""Many copies of a robot in MuJoCo, stepped natively on a thread pool."""
+
+from __future__ import annotations
+
+import mujoco
+import numpy as np
+from mujoco import batch
+from numpy.typing import NDArray
+
+from backends.mujoco.model import build_spec
+from cdcsr.errors import CdcsrError, Diverged
+from cdcsr.robot import Robot
+from cdcsr.simulation import CAMERAS, Array, Dynamics, Ids, Simulation, Snapshot, State, rotation_matrix
+
+# Positions, velocities and their sensors are made current after each step. In a persistent batch the next
+# step starts from them, so this costs nothing.
+_CURRENT = int(mujoco.mjtStage.mjSTAGE_VEL)
+_TENSION = 9
+"""Tensions begin here in the sensor data; before them tip position, tip velocity, base angular velocity."""
+_SPEED_LIMIT = 1e4
+"""No coordinate moves this fast (m/s or rad/s) unless the integration has failed."""
+
+
+class MujocoSimulation(Simulation):
+    """See :class:`cdcsr.simulation.Simulation`.
+
+    Args:
+        robot: the description.
+        num: how many copies.
+        threads: threads that step the copies; None for as many as pay.
+    """
+
+    engine = "mujoco"
+    capabilities = frozenset({"render", "bit_exact"})
+
+    def __init__(self, robot: Robot, num: int = 1, threads: int | None = None) -> None:
+        super().__init__(robot, num)
+        self.model: mujoco.MjModel = build_spec(robot).compile()
+        # Waking a thread costs about as much as stepping a few copies.
+        self._batch = batch.Batch(self.model, num, threads if threads is not None else (0 if num >= 8 else 1), True)
+        self._sensors = self._batch.bind("sensordata")
+        self._qpos, self._qvel = self._batch.bind("qpos"), self._batch.bind("qvel")
+        self._time, self._ctrl = self._batch.bind("time"), self._batch.bind("ctrl")
+        self._tension = np.zeros((num, robot.num_cables))
+        self._scratch = mujoco.MjData(self.model)
+        self._renderer: mujoco.Renderer | None = None
+        self.reset()
+
+    def reset(self, ids: Ids = None) -> None:
+        self._batch.reset(None if ids is None else np.asarray(ids, dtype=np.int32), stage=_CURRENT)
+        self._tension[slice(None) if ids is None else ids] = 0
+
+    def step(self, command: Array, substeps: int = 1) -> None:
+        self._ctrl[:] = command
+        self._batch.step(nstep=substeps, stage=_CURRENT)
+        # A cable that is not at its limit reports zero; the limit's multiplier is a pull.
+        np.maximum(self._sensors[:, _TENSION:], 0, out=self._tension)
+        self._check_divergence()
+
+    def _check_divergence(self) -> None:
+        # NaN compares false, so "not below" also catches it.
+        if not np.abs(self._qvel).max() < _SPEED_LIMIT:
+            speed = np.abs(self._qvel).max(axis=1)
+            copy = int(np.flatnonzero(~(speed < _SPEED_LIMIT))[0])
+            raise Diverged(self.engine, copy, float(self._time[copy]), f"a speed of {speed[copy]:.3g}")
+
+    def state(self) -> State:
+        num_cables = self.robot.num_cables
+        sensors = self._sensors.copy()
+        qpos, qvel = self._qpos.copy(), self._qvel.copy()
+        return State(
+            time=self._time.copy(),
+            tip_position=sensors[:, 0:3],
+            tip_velocity=sensors[:, 3:6],
+            base_position=qpos[:, 0:3],
+            base_quaternion=qpos[:, 3:7],
+            base_velocity=qvel[:, 0:3],
+            base_angular_velocity=sensors[:, 6:_TENSION],
+            cable_travel=qpos[:, 7 : 7 + num_cables],
+            cable_tension=self._tension.copy(),
+            joint_angles=qpos[:, 7 + num_cables :],
+            joint_rates=qvel[:, 6 + num_cables :],
+        )
+
+    def get_snapshot(self) -> Snapshot:
+        velocity = self._qvel.copy()
+        velocity[:, 3:6] = self._sensors[:, 6:_TENSION]  # MuJoCo's own is in the base frame
+        private = np.concatenate([self._batch.state, self._tension], axis=1)
+        return Snapshot(
+            self.engine, self.robot.fingerprint, self._time.copy(), self._qpos.copy(), velocity, private
+        )
+
+    def set_snapshot(self, snapshot: Snapshot) -> None:
+        self._check_snapshot(snapshot)
+        if snapshot.engine == self.engine:
+            size = self._batch.state.shape[1]
+            self._batch.state[:] = snapshot.private[:, :size]
+            self._tension[:] = snapshot.private[:, size:]
+        else:
+            self._batch.reset(stage=int(mujoco.mjtStage.mjSTAGE_NONE))
+            self._time[:], self._qpos[:], self._qvel[:] = snapshot.time, snapshot.position, snapshot.velocity
+            to_body = rotation_matrix(snapshot.position[:, 3:7]).swapaxes(1, 2)
+            self._qvel[:, 3:6] = np.einsum("nij,nj->ni", to_body, snapshot.velocity[:, 3:6])
+            self._tension[:] = 0
+        self._batch.forward(stage=_CURRENT)
+
+    def dynamics(self, ids: Ids = None) -> Dynamics:
+        """The equation of motion, from MuJoCo's own model."""
+        chosen = np.arange(self.num) if ids is None else np.asarray(ids)
+        model, data, nv, num_cables = self.model, self._scratch, self.model.nv, self.robot.num_cables
+        mass, tip = np.zeros((len(chosen), nv, nv)), np.zeros((len(chosen), 3, nv))
+        bias, passive = np.zeros((2, len(chosen), nv))
+        cables, velocity = np.zeros((len(chosen), num_cables, nv)), np.zeros((len(chosen), nv))
+        tip_site = model.site("tip").id
+        for i, copy in enumerate(chosen):
+            data.qpos, data.qvel = self._qpos[copy], self._qvel[copy]
+            mujoco.mj_fwdPosition(model, data)
+            mujoco.mj_fwdVelocity(model, data)
+            mujoco.mj_fullM(model, data, mass[i])
+            mujoco.mj_jacSite(model, data, tip[i], None, tip_site)
+            bias[i], passive[i], velocity[i] = data.qfrc_bias, data.qfrc_passive, data.qvel
+            cables[i] = _dense_tendon_jacobian(model, data)
+        # MuJoCo's base angular velocity is in the base frame: v_body = R^T v_world. The rate of R^T does not
+        # matter to the bias, because a body's own rotation leaves its angular velocity vector unchanged.
+        turn = rotation_matrix(self._qpos[chosen, 3:7])
+        velocity[:, 3:6] = np.einsum("nij,nj->ni", turn, velocity[:, 3:6])
+        bias[:, 3:6] = np.einsum("nij,nj->ni", turn, bias[:, 3:6])
+        passive[:, 3:6] = np.einsum("nij,nj->ni", turn, passive[:, 3:6])
+        mass[:, 3:6, :] = turn @ mass[:, 3:6, :]
+        mass[:, :, 3:6] = mass[:, :, 3:6] @ turn.swapaxes(1, 2)
+        tip[:, :, 3:6] = tip[:, :, 3:6] @ turn.swapaxes(1, 2)
+        return Dynamics(mass, bias, passive, tip, cables, velocity)
+
+    def render(self, index: int = 0, camera: str = "side") -> NDArray[np.uint8]:
+        azimuth, elevation = CAMERAS[camera]
+        if self._renderer is None:
+            try:
+                self._renderer = mujoco.Renderer(self.model, 480, 640)
+            except Exception as error:  # each GL platform fails in its own way, none with a common type
+                raise CdcsrError(
+                    "MuJoCo cannot draw here: it found no OpenGL (set MUJOCO_GL to egl, osmesa or glfw, or draw "
+                    f"with the pybullet engine, which needs none). [{type(error).__name__}]"
+                ) from None
+        view = mujoco.MjvCamera()
+        view.lookat[:] = self.model.stat.center
+        view.distance, view.azimuth, view.elevation = 1.6 * self.model.stat.extent, azimuth + 90, elevation
+        self._scratch.qpos = self._qpos[index]
+        mujoco.mj_forward(self.model, self._scratch)
+        self._renderer.update_scene(self._scratch, view)
+        return self._renderer.render()
+
+    def close(self) -> None:
+        if self._renderer is not None:
+            self._renderer.close()
+            self._renderer = None
+
+
+def _dense_tendon_jacobian(model: mujoco.MjModel, data: mujoco.MjData) -> Array:
+    dense = np.zeros((model.ntendon, model.nv))
+    mujoco.mju_sparse2dense(dense, data.ten_J.ravel(), model.ten_J_rownnz, model.ten_J_rowadr, model.ten_J_colind.ravel())
+    return dense

@@ -1,0 +1,65 @@
+"""Getting a robot into PyBullet without what PyBullet adds of its own."""
+
+from __future__ import annotations
+
+import os
+import tempfile
+from pathlib import Path
+
+import pybullet
+
+from backends.pybullet.model import joint_names, urdf
+from cdcsr.errors import CdcsrError
+from cdcsr.robot import Robot
+
+MAX_JOINT_SPEED = 1e9
+"""PyBullet clamps joint speeds, by default at 100; nothing that still means anything comes near this."""
+
+
+def connect(robot: Robot) -> int:
+    """A new physics client without gravity at the robot's time step; the caller disconnects it."""
+    client = pybullet.connect(pybullet.DIRECT)
+    if client < 0:
+        raise CdcsrError("PyBullet has no free physics client left; close() simulations that are no longer needed.")
+    pybullet.setTimeStep(robot.time_step, physicsClientId=client)
+    pybullet.setGravity(0, 0, 0, physicsClientId=client)
+    return client
+
+
+def load_robot_body(robot: Robot, client: int) -> int:
+    """Load one copy, straight and at rest at the origin, with no damping, motors, limits or contacts.
+
+    Args:
+        robot: the description.
+        client: physics client.
+
+    Returns:
+        The body's id.
+    """
+    flags = pybullet.URDF_USE_INERTIA_FROM_FILE
+    flags |= pybullet.URDF_IGNORE_COLLISION_SHAPES | pybullet.URDF_IGNORE_VISUAL_SHAPES
+    # A fresh name each time: PyBullet remembers files by their path, and another process may load at once.
+    handle, name = tempfile.mkstemp(prefix=f"{robot.fingerprint}_", suffix=".urdf")
+    try:
+        with os.fdopen(handle, "w", encoding="utf-8") as file:
+            file.write(urdf(robot))
+        body = pybullet.loadURDF(name, flags=flags, physicsClientId=client)
+    finally:
+        Path(name).unlink()
+    count = pybullet.getNumJoints(body, physicsClientId=client)
+    found = [pybullet.getJointInfo(body, i, physicsClientId=client)[1].decode() for i in range(count)]
+    if found != joint_names(robot):
+        raise CdcsrError(f"PyBullet ordered the joints of {robot.name} in another way than they were written: {found}.")
+    # These three are of the whole body. PyBullet redirects any call that sets the speed limit to the base, so a
+    # joint's damping must not be set along with it.
+    pybullet.changeDynamics(
+        body, -1, linearDamping=0.0, angularDamping=0.0, maxJointVelocity=MAX_JOINT_SPEED, physicsClientId=client
+    )
+    for joint in range(count):  # an inverted range removes PyBullet's own limit
+        pybullet.changeDynamics(
+            body, joint, jointDamping=0.0, jointLowerLimit=1.0, jointUpperLimit=-1.0, physicsClientId=client
+        )
+    pybullet.setJointMotorControlArray(
+        body, range(count), pybullet.VELOCITY_CONTROL, forces=[0.0] * count, physicsClientId=client
+    )
+    return body

@@ -1,0 +1,125 @@
+"""PyBullet behind the contract."""
+
+from __future__ import annotations
+
+import os
+from functools import cached_property
+from typing import ClassVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from backends.pybullet.dynamics import chain, tip_states
+from backends.pybullet.equation import Equation
+from backends.pybullet.render import Renderer
+from backends.pybullet.workers import Pool
+from backends.pybullet.world import World
+from cdcsr.errors import CdcsrError, Diverged
+from cdcsr.robot import Robot
+from cdcsr.simulation import Array, Capability, Dynamics, Ids, Simulation, Snapshot, State
+
+COPIES_PER_WORKER = 8
+POOL_FROM = 16
+"""From how many copies on worker processes pay."""
+
+
+class PybulletSimulation(Simulation):
+    """`num` copies of a robot in PyBullet.
+
+    Args:
+        robot: the description.
+        num: how many copies.
+        workers: how many worker processes share the copies; 0 is none, so that all are stepped in this process.
+            By default there are some from 16 copies on, if there is more than one processor. The numbers do not
+            depend on it.
+
+    A copy that diverged is back at the start when :class:`Diverged` is raised; the others have made the step.
+    """
+
+    engine: ClassVar[str] = "pybullet"
+    capabilities: ClassVar[frozenset[Capability]] = frozenset({"render"})
+
+    def __init__(self, robot: Robot, num: int = 1, workers: int | None = None) -> None:
+        super().__init__(robot, num)
+        if workers is None:
+            workers = min(_processors(), -(-num // COPIES_PER_WORKER)) if num >= POOL_FROM else 0
+            workers = workers if workers > 1 else 0
+        if not 0 <= workers <= num:
+            raise CdcsrError(f"{num} copies can be shared by 0 to {num} worker processes, not {workers}.")
+        self._world = Pool(robot, num, workers) if workers else World(robot, num)
+        self._chain = chain(robot)
+
+    def reset(self, ids: Ids = None) -> None:
+        every = np.arange(self.num)
+        self._world.reset((every if ids is None else every[np.asarray(ids, dtype=int)]).tolist())
+
+    def step(self, command: Array, substeps: int = 1) -> None:
+        command = np.ascontiguousarray(command, dtype=float)
+        if command.shape != (self.num, self.robot.num_cables):
+            expected = (self.num, self.robot.num_cables)
+            raise CdcsrError(f"Commands have the shape (num, cables) = {expected}, not {command.shape}.")
+        lost = self._world.step(command, substeps)
+        if lost:
+            raise Diverged(self.engine, lost[0].copy, lost[0].time, lost[0].what)
+
+    def state(self) -> State:
+        world, joints = self._world, 7 + self.robot.num_cables
+        tip_position, tip_velocity = tip_states(self._chain, world.position, world.velocity)
+        return State(
+            time=world.time.copy(),
+            tip_position=tip_position,
+            tip_velocity=tip_velocity,
+            base_position=world.position[:, :3].copy(),
+            base_quaternion=world.position[:, 3:7].copy(),
+            base_velocity=world.velocity[:, :3].copy(),
+            base_angular_velocity=world.velocity[:, 3:6].copy(),
+            cable_travel=world.position[:, 7:joints].copy(),
+            cable_tension=world.tension.copy(),
+            joint_angles=world.position[:, joints:].copy(),
+            joint_rates=world.velocity[:, joints - 1 :].copy(),
+        )
+
+    def get_snapshot(self) -> Snapshot:
+        world = self._world
+        return Snapshot(
+            engine=self.engine,
+            robot=self.robot.fingerprint,
+            time=world.time.copy(),
+            position=world.position.copy(),
+            velocity=world.velocity.copy(),
+            private=world.tension.copy(),
+        )
+
+    def set_snapshot(self, snapshot: Snapshot) -> None:
+        self._check_snapshot(snapshot)
+        own = snapshot.engine == self.engine
+        tension = snapshot.private if own else np.zeros((self.num, self.robot.num_cables))
+        self._world.place(snapshot.time, snapshot.position, snapshot.velocity, tension)
+
+    def dynamics(self, ids: Ids = None) -> Dynamics:
+        chosen = slice(None) if ids is None else np.asarray(ids, dtype=int)
+        return self._equation(self._world.position[chosen], self._world.velocity[chosen])
+
+    def render(self, index: int = 0, camera: str = "side") -> NDArray[np.uint8]:
+        return self._renderer.draw(self._world.position[index], camera)
+
+    def close(self) -> None:
+        self._world.close()
+        for name in ("_equation", "_renderer"):
+            if name in self.__dict__:
+                self.__dict__[name].close()
+
+    @cached_property
+    def _equation(self) -> Equation:
+        return Equation(self.robot)
+
+    @cached_property
+    def _renderer(self) -> Renderer:
+        return Renderer(self.robot)
+
+
+def _processors() -> int:
+    """How many processors this process may use."""
+    if hasattr(os, "sched_getaffinity"):
+        return len(os.sched_getaffinity(0))
+    return os.cpu_count() or 1

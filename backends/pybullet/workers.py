@@ -1,0 +1,141 @@
+"""The copies of a robot spread over worker processes, each with a World of its own.
+
+A worker is a plain subprocess rather than one of `multiprocessing`, so that it never imports the caller's main
+module (which may import a learning framework, or start simulations itself). Requests go in by its standard
+input, answers come back by what was its standard output. Either side notices at once when the other is gone.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import itertools
+import json
+import os
+import pickle
+import signal
+import subprocess
+import sys
+import weakref
+from collections.abc import Iterable
+from typing import IO, Any, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from backends.pybullet.world import Divergence, World
+from cdcsr.errors import CdcsrError
+from cdcsr.robot import Robot
+
+Array = NDArray[np.float64]
+Method = Literal["reset", "place", "step"]
+
+_START = "import json, sys; sys.path[:] = json.loads(sys.argv[1]); from backends.pybullet.workers import serve; serve()"
+_PATIENCE = 5.0
+"""Seconds a worker has to end by itself."""
+
+
+class Pool:
+    """Stands in for a World of `num` copies; the attributes and methods are the same."""
+
+    def __init__(self, robot: Robot, num: int, workers: int) -> None:
+        edges = np.linspace(0, num, workers + 1).round().astype(int)
+        self._shares = [slice(int(a), int(b)) for a, b in itertools.pairwise(edges)]
+        command = [sys.executable, "-c", _START, json.dumps(sys.path)]
+        self._workers = [subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE) for _ in self._shares]
+        self._end = weakref.finalize(self, _end, self._workers)
+        self.time = np.zeros(num)
+        self.position = np.zeros((num, 7 + robot.num_cables + robot.num_hinges))
+        self.velocity = np.zeros((num, robot.num_coordinates))
+        self.tension = np.zeros((num, robot.num_cables))
+        self._ask([(robot, share.stop - share.start) for share in self._shares])
+
+    def reset(self, ids: Iterable[int]) -> None:
+        """Put copies back to the start."""
+        chosen = np.fromiter(ids, int)
+        inside = [chosen[(chosen >= s.start) & (chosen < s.stop)] - s.start for s in self._shares]
+        self._call("reset", [(part.tolist(),) for part in inside])
+
+    def place(self, time: Array, position: Array, velocity: Array, tension: Array) -> None:
+        """Put every copy into a state."""
+        self._call("place", [(time[s], position[s], velocity[s], tension[s]) for s in self._shares])
+
+    def step(self, command: Array, substeps: int) -> list[Divergence]:
+        """Advance all copies; see :meth:`World.step`."""
+        results = self._call("step", [(command[s], substeps) for s in self._shares])
+        return [
+            Divergence(share.start + lost.copy, lost.time, lost.what)
+            for share, losses in zip(self._shares, results, strict=True)
+            for lost in losses
+        ]
+
+    def close(self) -> None:
+        """End the workers; closing twice does nothing."""
+        self._end()
+
+    def _call(self, method: Method, arguments: list[tuple[Any, ...]]) -> list[Any]:
+        return self._ask([(method, *args) for args in arguments])
+
+    def _ask(self, requests: list[tuple[Any, ...]]) -> list[Any]:
+        """Send every worker its request, then take over the state of its copies and collect the results."""
+        if not self._end.alive:
+            raise CdcsrError("This simulation is closed, or one of its worker processes was lost; make a new one.")
+        results, index = [], 0
+        try:
+            for index, request in enumerate(requests):
+                _send(_pipe(self._workers[index].stdin), request)
+            for index, share in enumerate(self._shares):
+                result, state = pickle.load(_pipe(self._workers[index].stdout))
+                self.time[share], self.position[share], self.velocity[share], self.tension[share] = state
+                results.append(result)
+        except (EOFError, OSError, pickle.UnpicklingError):
+            worker, share = self._workers[index], self._shares[index]
+            self.close()
+            raise CdcsrError(
+                f"The PyBullet worker process of copies {share.start} to {share.stop - 1} ended unexpectedly "
+                f"(exit code {worker.returncode}); make a new simulation, with fewer workers if memory is short."
+            ) from None
+        except BaseException:  # interrupted between question and answer: what comes next would be out of step
+            self.close()
+            raise
+        return results
+
+
+def serve() -> None:
+    """The life of a worker: make a World, then answer requests until there are no more."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # the caller's to handle; it then closes our input
+    requests = sys.stdin.buffer
+    answers = os.fdopen(os.dup(1), "wb")
+    os.dup2(2, 1)  # PyBullet writes messages to the standard output
+    world = World(*pickle.load(requests))
+    result = None
+    try:
+        while True:
+            _send(answers, (result, (world.time, world.position, world.velocity, world.tension)))
+            method, *arguments = pickle.load(requests)
+            result = getattr(world, method)(*arguments)
+    except (EOFError, BrokenPipeError):
+        world.close()
+
+
+def _send(pipe: IO[bytes], message: object) -> None:
+    pickle.dump(message, pipe, protocol=pickle.HIGHEST_PROTOCOL)
+    pipe.flush()
+
+
+def _pipe(pipe: IO[bytes] | None) -> IO[bytes]:
+    """A Popen's pipe, which exists as it was asked for."""
+    assert pipe is not None
+    return pipe
+
+
+def _end(workers: list[subprocess.Popen[bytes]]) -> None:
+    for worker in workers:
+        with contextlib.suppress(BrokenPipeError):  # it is gone already
+            _pipe(worker.stdin).close()
+    for worker in workers:
+        try:
+            worker.wait(_PATIENCE)
+        except subprocess.TimeoutExpired:
+            worker.kill()
+            worker.wait()
+        _pipe(worker.stdout).close()

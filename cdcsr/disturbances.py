@@ -1,0 +1,67 @@
+"""What goes wrong between policy and robot (BATD3 paper, section V-E and Table IV)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cdcsr.errors import CdcsrError
+from cdcsr.tasks import BASE_POSITION
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Disturbances:
+    """How strongly each one acts; all zero is undisturbed."""
+
+    action_noise: float = 0.0
+    """Standard deviation of Gaussian noise on the commands, in [m] of set-point."""
+    base_noise: float = 0.0
+    """Standard deviation of Gaussian noise on the observed base position, in [m]."""
+    packet_loss: float = 0.0
+    """Probability that an observation does not arrive; the last one that did stands in for it."""
+
+    def __post_init__(self) -> None:
+        if min(self.action_noise, self.base_noise) < 0 or not 0 <= self.packet_loss <= 1:
+            raise CdcsrError(f"Noise must not be negative and packet_loss must lie in [0, 1]; found {self}.")
+
+
+class Channel:
+    """Carries observations and commands of `num` copies, disturbed."""
+
+    def __init__(self, disturbances: Disturbances, rng: np.random.Generator) -> None:
+        self._is = disturbances
+        self._rng = rng
+        self._received: Array | None = None
+
+    def start(self, observation: Array, fresh: NDArray[np.bool_]) -> Array:
+        """The first observation of an episode always arrives. `fresh` marks the copies that begin one."""
+        observation = self._noisy(observation)
+        if self._received is None:
+            self._received = observation
+        else:
+            self._received = np.where(fresh[:, None], observation, self._received)
+        return self._received
+
+    def observe(self, observation: Array) -> Array:
+        """What arrives of an observation, shape (num, n)."""
+        assert self._received is not None
+        lost = self._rng.random(len(observation)) < self._is.packet_loss
+        self._received = np.where(lost[:, None], self._received, self._noisy(observation))
+        return self._received
+
+    def command(self, command: Array) -> Array:
+        """What arrives of a command, shape (num, C)."""
+        if self._is.action_noise == 0:
+            return command
+        return command + self._rng.normal(scale=self._is.action_noise, size=command.shape)
+
+    def _noisy(self, observation: Array) -> Array:
+        if self._is.base_noise == 0:
+            return observation
+        observation = observation.copy()
+        observation[:, BASE_POSITION] += self._rng.normal(scale=self._is.base_noise, size=(len(observation), 3))
+        return observation

@@ -1,0 +1,88 @@
+"""Operation spaces: where targets lie. The three of the BATD3 paper (Tian et al., section V-A)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cdcsr.errors import CdcsrError, unknown_choice
+from cdcsr.robot import Robot
+
+Array = NDArray[np.float64]
+
+RADIUS = {"floating": 0.01, "spatter": 0.15}
+"""How far targets lie from the demonstrations' targets, xi_F and xi_S in [m]."""
+SPACES = ("anchor", *RADIUS)
+
+
+class Space(Protocol):
+    """A region of targets."""
+
+    name: str
+
+    def sample(self, rng: np.random.Generator, num: int) -> Array:
+        """`num` targets, shape (num, 3), world frame, in [m]."""
+        ...
+
+
+@dataclass(frozen=True)
+class Anchor:
+    """A fixed cuboid: large debris, all of whose parts must be reached."""
+
+    center: tuple[float, float, float]
+    size: tuple[float, float, float]
+    name: str = "anchor"
+
+    def sample(self, rng: np.random.Generator, num: int) -> Array:
+        return np.array(self.center) + (rng.random((num, 3)) - 0.5) * self.size
+
+
+@dataclass(frozen=True)
+class Around:
+    """Balls around the demonstrations' targets: debris that floats a little, or has scattered."""
+
+    name: str
+    centers: Array
+    """(n, 3), world frame, in [m]."""
+    radius: float
+    """[m]."""
+
+    def sample(self, rng: np.random.Generator, num: int) -> Array:
+        center = self.centers[rng.integers(len(self.centers), size=num)]
+        direction = rng.normal(size=(num, 3))
+        direction /= np.linalg.norm(direction, axis=1, keepdims=True)
+        # The cube root makes the density uniform in the ball.
+        return center + direction * self.radius * np.cbrt(rng.random((num, 1)))
+
+
+def demonstration_targets(robot: Robot, num: int = 10, seed: int = 0) -> Array:
+    """The targets of demonstrations, shape (num, 3): drawn in the Anchor Space."""
+    return anchor(robot).sample(np.random.default_rng(seed), num)
+
+
+def anchor(robot: Robot) -> Anchor:
+    """The Anchor Space of a robot."""
+    return Anchor(robot.workspace.center, robot.workspace.size)
+
+
+def make_space(name: str, robot: Robot, centers: Array | None = None) -> Space:
+    """The operation space of that name.
+
+    Args:
+        name: one of :data:`SPACES`.
+        robot: whose workspace it is.
+        centers: targets of the demonstrations, shape (n, 3); by default those of seed 0.
+
+    Raises:
+        CdcsrError: there is no such space.
+    """
+    if name == "anchor":
+        return anchor(robot)
+    if name not in RADIUS:
+        raise CdcsrError(unknown_choice("space", name, SPACES))
+    if centers is None:
+        centers = demonstration_targets(robot)
+    return Around(name, np.asarray(centers, dtype=float), RADIUS[name])

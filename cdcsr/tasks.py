@@ -1,0 +1,65 @@
+"""What the robot is asked to do, as functions of State: observation, reward, success."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cdcsr.robot import Robot
+from cdcsr.simulation import State
+
+Array = NDArray[np.float64]
+Reward = Literal["sparse", "dense"]
+
+
+@dataclass(frozen=True)
+class Reach:
+    """Bring the tip within a threshold of a target, fast or slow (BATD3 paper, section III-A).
+
+    The observation is eq. (1): tip position and velocity, target, distance, base position, quaternion
+    (w-x-y-z), velocity and angular velocity, and cable travel; world frame, SI units.
+    """
+
+    threshold: float = 0.03
+    """Success within this distance, in [m]."""
+    reward_kind: Reward = "sparse"
+    """sparse: eq. (2). dense: minus the distance in [m], plus 1 on success."""
+
+    def distance(self, state: State, target: Array) -> Array:
+        """From tip to target, shape (num,), in [m]."""
+        return np.linalg.norm(target - state.tip_position, axis=1)
+
+    def observe(self, state: State, target: Array, distance: Array) -> Array:
+        """Eq. (1), shape (num, 23 + C)."""
+        return np.concatenate(
+            [
+                state.tip_position,
+                state.tip_velocity,
+                target,
+                distance[:, None],
+                state.base_position,
+                state.base_quaternion,
+                state.base_velocity,
+                state.base_angular_velocity,
+                state.cable_travel,
+            ],
+            axis=1,
+        )
+
+    def reward(self, distance: Array, success: NDArray[np.bool_]) -> Array:
+        """Shape (num,)."""
+        if self.reward_kind == "sparse":
+            return success.astype(np.float64)
+        return success - distance
+
+
+BASE_POSITION = slice(10, 13)
+"""Where the base's position is in the observation."""
+
+
+def observation_size(robot: Robot) -> int:
+    """Length of eq. (1)."""
+    return 23 + robot.num_cables

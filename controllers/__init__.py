@@ -1,0 +1,1 @@
+"""Controllers: what they see in, cable commands out."""

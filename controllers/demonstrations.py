@@ -1,0 +1,180 @@
+"""Demonstrations: record a controller into a Minari dataset, and read one back."""
+
+from __future__ import annotations
+
+import copy
+from dataclasses import dataclass
+from pathlib import Path
+
+import gymnasium
+import numpy as np
+from numpy.typing import NDArray
+
+from cdcsr.envs import ReachVectorEnv
+from cdcsr.errors import CdcsrError
+from controllers.controller import Controller
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Episode:
+    """One successful episode of T actions."""
+
+    observations: Array
+    """(T + 1, 23 + C)."""
+    actions: Array
+    """(T, C) servo set-points in [m]."""
+    target: Array
+    """(3,) world frame, in [m]."""
+
+    @property
+    def length(self) -> int:
+        return len(self.actions)
+
+
+@dataclass(frozen=True)
+class Rollout:
+    """One episode of each of N copies, run side by side; rows go on after an episode's end."""
+
+    observations: Array
+    """(N, steps + 1, 23 + C)."""
+    actions: Array
+    """(N, steps, C) servo set-points in [m]."""
+    targets: Array
+    """(N, 3) world frame, in [m]."""
+    success: NDArray[np.bool_]
+    """(N,)."""
+    length: NDArray[np.int64]
+    """(N,) actions until the end of each episode."""
+    distance: Array
+    """(N,) from tip to target at that end, in [m]."""
+
+    def successes(self) -> list[Episode]:
+        """The successful episodes, each cut to its length."""
+        return [
+            Episode(self.observations[i, : n + 1], self.actions[i, :n], self.targets[i])
+            for i, n in enumerate(self.length)
+            if self.success[i]
+        ]
+
+
+def record(controller: Controller, env: ReachVectorEnv, num: int, seed: int) -> tuple[list[Episode], int]:
+    """Record successful episodes of a controller; one that misses its target is drawn anew.
+
+    Args:
+        controller: who demonstrates.
+        env: robots with autoreset disabled, as many as run side by side.
+        num: how many successful episodes.
+        seed: of the targets.
+
+    Returns:
+        The episodes in the order of their targets, and how many failed along the way.
+
+    Raises:
+        CdcsrError: fewer than one in ten of the episodes succeeds.
+    """
+    episodes: list[Episode] = []
+    failed = 0
+    observation, _ = env.reset(seed=seed)
+    while True:
+        batch = rollout(controller, env, observation)
+        failed += int((~batch.success).sum())
+        episodes += batch.successes()
+        if len(episodes) >= num:
+            return episodes[:num], failed
+        if failed > 10 * max(num, env.num_envs):
+            raise CdcsrError(
+                f"The controller {controller.name!r} reached {len(episodes)} of {len(episodes) + failed} targets "
+                f"in the space {env.space.name!r}; move or shrink the robot's workspace."
+            )
+        observation, _ = env.reset()
+
+
+def rollout(controller: Controller, env: ReachVectorEnv, observation: Array) -> Rollout:
+    """One episode per copy, from the observation of a reset."""
+    num = env.num_envs
+    active = np.ones(num, dtype=bool)
+    success, length, distance = np.zeros(num, dtype=bool), np.zeros(num, dtype=np.int64), np.full(num, np.inf)
+    observations, actions = [observation], []
+    while active.any():
+        action = controller.act(env, observation, active)
+        observation, _, terminated, truncated, info = env.step(action)
+        observations.append(observation)
+        actions.append(action)
+        length[active] += 1
+        distance[active] = info["distance"][active]
+        success |= active & terminated
+        active &= ~(terminated | truncated)
+    return Rollout(
+        np.stack(observations, axis=1), np.stack(actions, axis=1), env.targets.copy(), success, length, distance
+    )
+
+
+def save(folder: Path, episodes: list[Episode], env: ReachVectorEnv, controller: str, dataset_id: str) -> None:
+    """Write a Minari dataset (hdf5) into an existing, empty folder."""
+    import minari
+    from minari.data_collector import EpisodeBuffer
+    from minari.dataset.minari_storage import MinariStorage
+
+    spec = copy.deepcopy(gymnasium.spec("cdcsr/Reach-v0"))
+    spec.kwargs = {
+        "robot": env.robot.name,
+        "backend": env.backend,
+        "space": env.space.name,
+        "frame_skip": env.frame_skip,
+    }
+    storage = MinariStorage.new(folder / "data", env.single_observation_space, env.single_action_space, spec)
+    storage.update_metadata(
+        {
+            "dataset_id": dataset_id,
+            "minari_version": minari.__version__,
+            "algorithm_name": controller,
+            "description": "Successful reaches of a cable-driven continuum space robot.",
+            "robot": env.robot.name,
+            "robot_fingerprint": env.robot.fingerprint,
+            "backend": env.backend,
+            "space": env.space.name,
+            "frame_skip": env.frame_skip,
+        }
+    )
+    buffers = []
+    for i, episode in enumerate(episodes):
+        last = np.zeros(episode.length, dtype=bool)
+        last[-1] = True
+        buffers.append(
+            EpisodeBuffer(
+                id=i,
+                observations=list(episode.observations),
+                actions=list(episode.actions),
+                rewards=list(last.astype(np.float64)),
+                terminations=list(last),
+                truncations=[False] * episode.length,
+            )
+        )
+    storage.update_episodes(buffers)
+
+
+def load(folder: Path, robot_fingerprint: str, frame_skip: int = 1) -> list[Episode]:
+    """Read the episodes of a dataset written by :func:`save`.
+
+    Raises:
+        CdcsrError: it is no such dataset, or of another robot or frame skip.
+    """
+    from minari import MinariDataset
+
+    try:
+        dataset = MinariDataset(folder / "data")
+        metadata = dataset.storage.metadata
+        found = metadata["robot_fingerprint"], metadata["frame_skip"]
+        stored = list(dataset.iterate_episodes())
+    except (OSError, KeyError, ValueError, AssertionError) as error:
+        raise CdcsrError(f"{folder} holds no demonstrations made by `cdcsr demonstrate`: {error}.") from None
+    if found[0] != robot_fingerprint:
+        raise CdcsrError(
+            f"The demonstrations in {folder} are of robot {metadata['robot']!r} ({found[0]}), not of the robot asked "
+            f"for ({robot_fingerprint}); record new ones with `cdcsr demonstrate`."
+        )
+    if found[1] != frame_skip:
+        raise CdcsrError(f"The demonstrations in {folder} have frame_skip {found[1]}, not {frame_skip}.")
+    return [Episode(np.asarray(e.observations), np.asarray(e.actions), np.asarray(e.observations)[0, 6:9]) for e in stored]

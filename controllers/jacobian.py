@@ -1,0 +1,81 @@
+"""The scripted demonstrator: resolved-rate control through the generalized (momentum-coupled) Jacobian."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import lsq_linear, nnls
+
+from cdcsr.envs import ReachVectorEnv
+from cdcsr.robot import Robot
+from cdcsr.simulation import Dynamics
+from controllers.controller import Controller
+
+Array = NDArray[np.float64]
+
+
+class JacobianController(Controller):
+    """Finds the tensions whose tip velocity, one control step ahead, comes nearest to a wish.
+
+    The tip velocity after a control period h is predicted as linear in the cable tensions t:
+    v+ = J (qd + h (M + h D + h^2 K)^-1 (f - L^T t)), with M, J (base columns included, so the momentum
+    exchanged with the base is in it) and the cable Jacobian L without the sliders, D and K the hinges' damping
+    and stiffness, and f = passive - bias - h K qd. The wish is v* = gain (target - tip), its norm capped.
+    The command makes each servo pull with its tension: a = travel - t / servo gain.
+
+    Args:
+        robot: the description.
+        gain: [1/s].
+        speed: largest tip speed wished for, in [m/s].
+        regularization: weight of |t|^2 against |v+ - v*|^2, in [(m/s/N)^2].
+    """
+
+    name = "jacobian"
+
+    def __init__(self, robot: Robot, gain: float = 14.0, speed: float = 2.0, regularization: float = 1e-8) -> None:
+        self.gain, self.speed, self.regularization = gain, speed, regularization
+        num_cables = robot.num_cables
+        self._without_sliders = np.r_[0:6, 6 + num_cables : robot.num_coordinates]
+        hinges = np.repeat([(j.stiffness, j.damping) for _, j in robot.links], 2, axis=0)
+        self._stiffness = np.concatenate([np.zeros(6), hinges[:, 0]])
+        self._damping = np.concatenate([np.zeros(6), hinges[:, 1]])
+        self._servo_gain = np.array([servo.gain for servo in robot.servos])
+        self._eta = np.array([servo.eta for servo in robot.servos])
+
+    def act(self, env: ReachVectorEnv, observation: Array, active: NDArray[np.bool_]) -> Array:
+        ids = np.flatnonzero(active)
+        state = env.simulation.state()
+        command = np.zeros((env.num_envs, len(self._eta)))
+        if len(ids) == 0:
+            return command
+        error = env.targets[ids] - state.tip_position[ids]
+        wish = self.gain * error
+        wish *= np.minimum(1, self.speed / np.maximum(np.linalg.norm(wish, axis=1, keepdims=True), 1e-12))
+        period = env.robot.time_step * env.frame_skip
+        offset, slope = self._predict(env.simulation.dynamics(ids), period)
+        tension = np.array([self._tensions(s, w - o) for s, w, o in zip(slope, wish, offset, strict=True)])
+        command[ids] = np.clip(state.cable_travel[ids] - tension / self._servo_gain, -self._eta, 0)
+        return command
+
+    def _predict(self, dynamics: Dynamics, period: float) -> tuple[Array, Array]:
+        """Tip velocity after one period as offset (n, 3) + slope (n, 3, C) @ tensions."""
+        keep = self._without_sliders
+        mass = dynamics.mass_matrix[:, keep[:, None], keep]
+        rate = dynamics.velocity[:, keep]
+        force = (dynamics.passive_force - dynamics.bias_force)[:, keep] - period * self._stiffness * rate
+        implicit = mass + np.diag(period * self._damping + period**2 * self._stiffness)
+        tip, cables = dynamics.tip_jacobian[:, :, keep], dynamics.cable_jacobian[:, :, keep]
+        # One solve for the tip's three rows serves both the force and all cables: (M~)^-1 J^T, M~ symmetric.
+        response = np.linalg.solve(implicit, tip.swapaxes(1, 2))
+        offset = np.einsum("nij,nj->ni", tip, rate) + period * np.einsum("nji,nj->ni", response, force)
+        return offset, -period * np.einsum("nji,ncj->nic", response, cables)
+
+    def _tensions(self, slope: Array, wish: Array) -> Array:
+        """The bounded least squares min |slope t - wish|^2 + regularization |t|^2, 0 <= t <= what the servo can."""
+        limit = self._servo_gain * self._eta
+        matrix = np.vstack([slope, np.sqrt(self.regularization) * np.eye(len(limit))])
+        goal = np.concatenate([wish, np.zeros(len(limit))])
+        tension, _ = nnls(matrix, goal)
+        if (tension > limit).any():  # rare; the non-negative optimum is the bounded one otherwise
+            tension = lsq_linear(matrix, goal, (0, limit), method="bvls").x
+        return tension

@@ -1,0 +1,153 @@
+"""The `cdcsr` command: quick to answer, and it never answers with a traceback."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+import time
+from importlib.metadata import EntryPoint, entry_points
+from pathlib import Path
+
+import pytest
+
+from cdcsr import cli
+from cdcsr.errors import CdcsrError
+
+SCRIPT = str(Path(sys.executable).with_name("cdcsr"))
+HEAVY = ("numpy", "pydantic", "scipy", "torch", "trimesh", "tyro", "mujoco", "pybullet")
+
+
+def double(number: int, /, *, quiet: bool = False) -> None:
+    """Print twice a number.
+
+    Args:
+        number: any whole number.
+        quiet: print nothing.
+    """
+    if not quiet:
+        print(2 * number)
+
+
+def fail() -> None:
+    """Fail as a user's mistake does."""
+    raise CdcsrError("There is no such thing; have another.")
+
+
+def interrupt() -> None:
+    """Fail as Ctrl-C does."""
+    raise KeyboardInterrupt
+
+
+@pytest.fixture
+def commands(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The functions above as installed commands, and one whose module is not there."""
+    found = [EntryPoint(f.__name__, f"{__name__}:{f.__name__}", "cdcsr.commands") for f in (double, fail, interrupt)]
+    found.append(EntryPoint("gone", "no_such_module:function", "cdcsr.commands"))
+
+    def installed(*, group: str) -> list[EntryPoint]:
+        assert group == "cdcsr.commands"
+        return found
+
+    monkeypatch.setattr(cli, "entry_points", installed)
+
+
+def fastest(command: list[str]) -> float:
+    """The least of five times a command takes, in [s]; the others count what else the machine was doing."""
+
+    def once() -> float:
+        start = time.perf_counter()
+        subprocess.run(command, check=True, capture_output=True)
+        return time.perf_counter() - start
+
+    return min(once() for _ in range(5))
+
+
+def test_help_takes_less_than_half_a_second() -> None:
+    # A Python that does nothing needs about 15 ms; a machine on which it needs more gets as much more time.
+    floor = fastest([sys.executable, "-c", "pass"])
+    assert fastest([SCRIPT, "--help"]) < max(0.5, 20 * floor)
+
+
+def test_help_imports_nothing_heavy() -> None:
+    code = f"import sys, cdcsr.cli; cdcsr.cli.main(['--help']); print([m for m in {HEAVY} if m in sys.modules])"
+    done = subprocess.run([sys.executable, "-c", code], check=True, capture_output=True, text=True)
+    assert done.stdout.splitlines()[-1] == "[]"
+
+
+@pytest.mark.parametrize("command", sorted({point.name for point in entry_points(group="cdcsr.commands")}))
+def test_every_installed_command_explains_itself(command: str, capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit) as stopped:
+        cli.main([command, "--help"])
+    assert stopped.value.code == 0
+    assert f"usage: cdcsr {command}" in capsys.readouterr().out
+
+
+def test_an_unknown_command_ends_in_one_line_and_exit_code_2() -> None:
+    done = subprocess.run([SCRIPT, "biuld-model"], check=False, capture_output=True, text=True)
+    assert done.returncode == 2
+    assert done.stdout == ""
+    assert len(done.stderr.splitlines()) == 1
+    assert done.stderr.startswith(
+        "cdcsr: error: Unknown command 'biuld-model'. Did you mean 'build-model'? Available: "
+    )
+
+
+@pytest.mark.usefixtures("commands")
+def test_help_lists_every_command_and_survives_one_that_is_broken(capsys: pytest.CaptureFixture[str]) -> None:
+    assert cli.main(["--help"]) == 0
+    assert [line for line in capsys.readouterr().out.splitlines() if line.startswith("  ")] == [
+        "  double     Print twice a number.",
+        "  fail       Fail as a user's mistake does.",
+        "  gone       (cannot be loaded: ModuleNotFoundError: No module named 'no_such_module')",
+        "  interrupt  Fail as Ctrl-C does.",
+    ]
+
+
+@pytest.mark.usefixtures("commands")
+def test_no_command_is_an_error_with_the_help(capsys: pytest.CaptureFixture[str]) -> None:
+    assert cli.main([]) == 2
+    assert "usage: cdcsr COMMAND" in capsys.readouterr().err
+
+
+@pytest.mark.usefixtures("commands")
+@pytest.mark.parametrize(
+    ("argv", "code", "out", "err"),
+    [
+        (["double", "21"], 0, "42\n", ""),
+        (["double", "21", "--quiet"], 0, "", ""),
+        (["fail"], 2, "", "error: There is no such thing; have another.\n"),
+        (["interrupt"], 130, "", "interrupted\n"),
+        (
+            ["gone"],
+            2,
+            "",
+            "error: The command 'gone' cannot be loaded: ModuleNotFoundError: No module named 'no_such_module'.\n",
+        ),
+        (
+            ["duoble"],
+            2,
+            "",
+            "error: Unknown command 'duoble'. Did you mean 'double'? Available: double, fail, gone, interrupt.\n",
+        ),
+    ],
+)
+def test_exit_codes_and_output(
+    argv: list[str], code: int, out: str, err: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert cli.main(argv) == code
+    assert capsys.readouterr() == (out, err and f"cdcsr: {err}")
+
+
+@pytest.mark.parametrize("argv", [[], ["many"], ["1", "--loud"]])
+def test_arguments_that_do_not_fit_end_with_exit_code_2(argv: list[str], capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit) as stopped:
+        cli.run(double, "double", argv)
+    assert stopped.value.code == 2
+    captured = capsys.readouterr()
+    assert captured.out == ""
+    assert captured.err
+
+
+def test_version(capsys: pytest.CaptureFixture[str]) -> None:
+    assert cli.main(["--version"]) == 0
+    assert capsys.readouterr().out.startswith("cdcsr ")

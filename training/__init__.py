@@ -1,0 +1,1 @@
+"""Learning controllers from demonstrations and rewards, and measuring them in every engine."""

@@ -1,0 +1,32 @@
+"""BATD3: behaviour cloning assisting TD3 (Tian et al., section IV)."""
+
+from __future__ import annotations
+
+from typing import ClassVar
+
+import torch
+from torch import Tensor
+
+from training.algorithms.td3 import TD3
+from training.replay import Batch
+
+
+class BATD3(TD3):
+    """TD3 whose targets may follow the behaviour clone, and whose replay begins with demonstrations.
+
+    The replay buffer is pre-filled with the demonstrations and the clone's successful episodes. Every target
+    draws its action from {the clone's, the target policy's} with probabilities softmax(rho Q') (eqs. 5 to 7).
+    Only the learned policy acts.
+    """
+
+    uses_demonstrations: ClassVar[bool] = True
+    uses_clone: ClassVar[bool] = True
+
+    def next_value(self, encoded: Tensor, batch: Batch) -> Tensor:
+        """Eqs. (5) to (7). Both candidates are valued at once, so the one drawn needs no second evaluation."""
+        both = torch.cat([batch.next_bc_action, self.smoothed_target_action(encoded)])
+        clone, policy = self.target_value(torch.cat([encoded, encoded]), both).chunk(2)
+        # A softmax over two is the logistic function of their difference.
+        probability = torch.sigmoid(self.learner.softmax_temperature * (clone - policy))
+        drawn = torch.rand(probability.shape, generator=self._generator) < probability
+        return torch.where(drawn, clone, policy)

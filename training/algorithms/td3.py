@@ -1,0 +1,115 @@
+"""TD3 with a randomized ensemble of critics: the backbone of every method here.
+
+TD3: Fujimoto et al. 2018 (clipped noise on the target action, delayed actor). The ensemble is that of REDQ,
+Chen et al. 2021: each target is the minimum over Z critics drawn at random from E.
+"""
+
+from __future__ import annotations
+
+import copy
+from typing import ClassVar
+
+import torch
+from torch import Tensor
+from torch.nn import functional
+
+from cdcsr.robot import Robot
+from training.config import Learner
+from training.networks import Actor, Critics
+from training.replay import Batch
+
+
+class TD3:
+    """A deterministic actor and E critics with target copies.
+
+    A variant overrides `next_value` (what a target bootstraps from), and says by its class attributes what
+    its replay buffer is filled with before learning begins.
+
+    Args:
+        robot: the description.
+        learner: the learner's numbers.
+        generator: draws target noise and the subsets of critics.
+    """
+
+    uses_demonstrations: ClassVar[bool] = False
+    """Demonstrations are put into the replay buffer."""
+    uses_clone: ClassVar[bool] = False
+    """A behaviour clone is trained first; its successes go into the replay buffer and its actions with every row."""
+
+    def __init__(self, robot: Robot, learner: Learner, generator: torch.Generator) -> None:
+        self.learner = learner
+        self.actor = Actor(robot, learner.features == "state+error", learner.hidden, "relu")
+        inputs = self.actor.encoder.size + robot.num_cables
+        self.critics = Critics(inputs, learner.hidden, learner.critics, learner.layer_norm)
+        self.target_actor = copy.deepcopy(self.actor).requires_grad_(False)
+        self.target_critics = copy.deepcopy(self.critics).requires_grad_(False)
+        self._actor_parameters = list(self.actor.parameters())
+        self._critic_parameters = list(self.critics.parameters())
+        self.actor_optimizer = torch.optim.Adam(self._actor_parameters, lr=learner.learning_rate, fused=True)
+        self.critic_optimizer = torch.optim.Adam(self._critic_parameters, lr=learner.learning_rate, fused=True)
+        self.updates = 0
+        self._generator = generator
+
+    def update(self, batch: Batch) -> dict[str, Tensor]:
+        """One update of the critics, and of the actor when its turn comes.
+
+        Returns:
+            Scalars worth logging.
+        """
+        self.updates += 1
+        encoded = self.actor.encoder(batch.observation)
+        with torch.no_grad():
+            value = self.next_value(self.actor.encoder(batch.next_observation), batch)
+            target = batch.reward + batch.discount * value
+            if self.learner.clip_targets:
+                target = target.clamp(0, 1)
+        values = self.critics(encoded, batch.action)
+        # Summed over critics, so that the step of each does not depend on how many there are.
+        critic_loss = functional.mse_loss(values, target.expand_as(values), reduction="none").mean(1).sum()
+        self.critic_optimizer.zero_grad()
+        critic_loss.backward()
+        self.critic_optimizer.step()
+        _follow(self.target_critics.parameters(), self._critic_parameters, self.learner.soft_update)
+        metrics = {"critic_loss": critic_loss.detach() / self.learner.critics, "value": values.detach().mean()}
+        if self.updates % self.learner.policy_delay == 0:
+            metrics["actor_loss"] = self._update_actor(encoded)
+        return metrics
+
+    def next_value(self, encoded: Tensor, batch: Batch) -> Tensor:
+        """Value to bootstrap from at the end of each transition, shape (B,): TD3's smoothed target policy."""
+        return self.target_value(encoded, self.smoothed_target_action(encoded))
+
+    def smoothed_target_action(self, encoded: Tensor) -> Tensor:
+        """The target policy's action with clipped noise (Fujimoto et al. 2018, eq. 15), shape (B, C)."""
+        action = self.target_actor(encoded)
+        noise = torch.randn(action.shape, generator=self._generator) * self.learner.target_noise
+        return (action + noise.clamp(-self.learner.noise_clip, self.learner.noise_clip)).clamp(-1, 1)
+
+    def target_value(self, encoded: Tensor, action: Tensor) -> Tensor:
+        """Minimum over Z target critics drawn at random (Chen et al. 2021, eq. 1), shape (B,).
+
+        Only the critics drawn are evaluated.
+        """
+        num, drawn = self.learner.critics, self.learner.target_critics
+        members = None if drawn == num else torch.randperm(num, generator=self._generator)[:drawn]
+        return self.target_critics(encoded, action, members).amin(0)
+
+    def _update_actor(self, encoded: Tensor) -> Tensor:
+        # The critics' parameters are left out of this graph: their gradients would be thrown away.
+        self.critics.requires_grad_(False)
+        loss = self.actor_loss(encoded)
+        self.actor_optimizer.zero_grad()
+        loss.backward()
+        self.actor_optimizer.step()
+        self.critics.requires_grad_(True)
+        _follow(self.target_actor.parameters(), self._actor_parameters, self.learner.soft_update)
+        return loss.detach()
+
+    def actor_loss(self, encoded: Tensor) -> Tensor:
+        """Minus the mean of all critics at the actor's own action."""
+        return -self.critics(encoded, self.actor(encoded)).mean()
+
+
+def _follow(targets: object, sources: list[torch.nn.Parameter], rate: float) -> None:
+    with torch.no_grad():
+        torch._foreach_lerp_(list(targets), sources, rate)  # type: ignore[call-overload]

@@ -1,0 +1,172 @@
+"""What a training run is: its task, its algorithm, and the numbers of the learner."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass, field
+from pathlib import Path
+from typing import Any, Literal
+
+from cdcsr.errors import CdcsrError
+
+AlgorithmName = Literal["bc", "td3", "batd3"]
+PresetName = Literal["paper", "tuned"]
+
+
+@dataclass(frozen=True)
+class Learner:
+    """The numbers of the learner. Defaults are the paper's (section V-A.3), or TD3's own where it is silent."""
+
+    features: Literal["state", "state+error"] = "state"
+    """Network input: the scaled eq. (1), or that and the scaled vector from tip to target."""
+    hidden: tuple[int, ...] = (256, 256, 256)
+    """Width of the hidden layers of every network."""
+    layer_norm: bool = False
+    """LayerNorm before each hidden activation of the critics."""
+    learning_rate: float = 1e-4
+    """Of actor and critics (Adam)."""
+    batch_size: int = 256
+    discount: float = 0.99
+    """gamma, per action."""
+    return_steps: int = 1
+    """n of the n-step return; it bootstraps through time limits."""
+    soft_update: float = 0.01
+    """beta: how fast target networks follow."""
+    critics: int = 5
+    """E, the size of the ensemble."""
+    target_critics: int = 2
+    """Z, how many critics drawn at random give a target; it takes their minimum."""
+    target_noise: float = 0.2
+    """Standard deviation of the noise on the target policy's action, which spans [-1, 1]."""
+    noise_clip: float = 0.3
+    """c: that noise is clipped to [-c, c]."""
+    softmax_temperature: float = 10.0
+    """rho of eq. (6)."""
+    clip_targets: bool = False
+    """Clip targets to [0, 1], where a sparse terminal reward's values lie."""
+    policy_delay: int = 2
+    """Updates of the critics to one of the actor."""
+    num_envs: int = 1
+    """Environments stepped once for every update."""
+    exploration_noise: float = 0.1
+    """Standard deviation of exploration noise on the action, which spans [-1, 1]."""
+    noise_hold: int = 1
+    """Actions for which one draw of exploration noise is held."""
+    updates: int = 100_000
+    """Length of the run in updates."""
+    capacity: int = 1_000_000
+    """Rows of the replay buffer."""
+    bc_updates: int = 10_000
+    """Updates of the behaviour clone."""
+    bc_learning_rate: float = 1e-4
+    """Of the behaviour clone (Adam)."""
+    bc_rollouts: int = 100
+    """Episodes of the behaviour clone whose successes pre-fill the replay buffer."""
+
+
+PRESETS: dict[PresetName, Learner] = {
+    "paper": Learner(),
+    "tuned": Learner(
+        features="state+error",
+        layer_norm=True,
+        learning_rate=6e-4,
+        return_steps=20,
+        critics=2,
+        clip_targets=True,
+        num_envs=64,
+        exploration_noise=0.2,
+        noise_hold=10,
+        updates=15_000,
+        bc_updates=3_000,
+        bc_learning_rate=1e-3,
+    ),
+}
+
+
+@dataclass(frozen=True)
+class Train:
+    """Train a policy: behaviour cloning, TD3, or BATD3."""
+
+    out: Path
+    """Folder of the run. Give the folder of an interrupted run, with the same options, to resume it."""
+    algorithm: AlgorithmName = "batd3"
+    """What learns."""
+    preset: PresetName = "tuned"
+    """Where the learner's numbers come from; any of them can be set with --learner.NAME."""
+    backend: str = "mujoco"
+    """The engine to train in."""
+    robot: str = "paper"
+    """A shipped robot's name, or a path ending in .toml."""
+    space: str = "anchor"
+    """Where targets are drawn: anchor, floating or spatter."""
+    reward: Literal["sparse", "dense"] = "sparse"
+    """sparse: 1 on success (eq. 2). dense: minus the distance, plus 1 on success."""
+    frame_skip: int = 1
+    """Simulation steps each action is held for."""
+    demonstrations: Path | None = None
+    """A dataset made by `cdcsr demonstrate`; by default ten are recorded in the engine, seed 0."""
+    seed: int = 0
+    """Of everything random in the run but the demonstrations."""
+    evaluate_every: int = 1_000
+    """Updates between evaluations on validation targets (100 episodes) and checkpoints; 0 for none before the end."""
+    stop_after: float | None = None
+    """Stop, resumable, after this many minutes."""
+    force: bool = False
+    """Start anew in a folder that holds a run already."""
+    json: Path | None = None
+    """Also write the summary to this file."""
+    learner: Learner = field(default_factory=lambda: PRESETS["tuned"])
+
+    def __post_init__(self) -> None:
+        learner = self.learner
+        if not 1 <= learner.target_critics <= learner.critics:
+            raise CdcsrError(
+                f"target_critics must be between 1 and critics ({learner.critics}), not {learner.target_critics}."
+            )
+        counts = {
+            "batch_size": learner.batch_size,
+            "return_steps": learner.return_steps,
+            "policy_delay": learner.policy_delay,
+            "num_envs": learner.num_envs,
+            "noise_hold": learner.noise_hold,
+            "updates": learner.updates,
+            "bc_updates": learner.bc_updates,
+        }
+        for name, value in counts.items():
+            if value < 1:
+                raise CdcsrError(f"{name} must be at least 1, not {value}.")
+        if not 0 < learner.discount <= 1:
+            raise CdcsrError(f"discount must lie in (0, 1], not {learner.discount}.")
+
+    @classmethod
+    def defaults(cls, argv: Sequence[str]) -> Train:
+        """The values of options not given in `argv`: they depend on the preset that is."""
+        import tyro
+
+        preset = _option(argv, "--preset") or "tuned"
+        learner = PRESETS["paper" if preset == "paper" else "tuned"]
+        return cls(out=tyro.MISSING, preset="paper" if preset == "paper" else "tuned", learner=learner)
+
+    def run(self) -> None:
+        """Carry it out."""
+        from training.trainer import train
+
+        train(self)
+
+    def identity(self) -> dict[str, Any]:
+        """What must be the same for a run to be resumed."""
+        data = asdict(self)
+        for name in ("out", "stop_after", "force", "json", "evaluate_every"):
+            del data[name]
+        data["demonstrations"] = None if self.demonstrations is None else str(self.demonstrations)
+        data["learner"]["hidden"] = list(self.learner.hidden)
+        return data
+
+
+def _option(argv: Sequence[str], name: str) -> str | None:
+    for i, word in enumerate(argv):
+        if word == name and i + 1 < len(argv):
+            return argv[i + 1]
+        if word.startswith(name + "="):
+            return word.split("=", 1)[1]
+    return None

@@ -1,0 +1,123 @@
+"""Measuring a controller: success and episode length on held-out targets, all episodes as one batch."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from math import sqrt
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cdcsr.disturbances import Disturbances
+from cdcsr.envs import EPISODE_STEPS, ReachVectorEnv
+from cdcsr.errors import CdcsrError
+from cdcsr.robot import Robot
+from controllers.controller import Controller
+from controllers.demonstrations import rollout
+
+Array = NDArray[np.float64]
+
+TEST_SEED = 10_000
+"""Of the held-out targets every reported number is measured on. Nothing is ever tuned on them."""
+VALIDATION_SEED = 20_000
+"""Of the targets a run is watched on while it learns, and things are tuned on."""
+
+
+@dataclass(frozen=True)
+class Result:
+    """How a controller did in a batch of episodes, in the order of their targets."""
+
+    success: NDArray[np.bool_]
+    """(N,)."""
+    length: NDArray[np.int64]
+    """(N,) simulation steps; a failed episode counts in full."""
+    distance: Array
+    """(N,) from tip to target at the end, in [m]."""
+    targets: Array
+    """(N, 3) world frame, in [m]."""
+
+    @property
+    def rate(self) -> float:
+        """kappa, the share of episodes that succeed."""
+        return float(self.success.mean())
+
+    def summary(self) -> dict[str, Any]:
+        """The numbers that are reported."""
+        low, high = wilson(int(self.success.sum()), len(self.success))
+        return {
+            "episodes": len(self.success),
+            "success_rate": self.rate,
+            "success_low": low,
+            "success_high": high,
+            "length_mean": float(self.length.mean()),
+            "length_std": float(self.length.std()),
+            "failed": np.flatnonzero(~self.success).tolist(),
+        }
+
+
+def wilson(successes: int, total: int, z: float = 1.959963984540054) -> tuple[float, float]:
+    """The 95 % interval of a proportion (Wilson 1927).
+
+    Args:
+        successes: how many of `total` succeeded.
+        total: at least one.
+        z: quantile of the normal distribution.
+    """
+    share = successes / total
+    center = share + z * z / (2 * total)
+    spread = z * sqrt(share * (1 - share) / total + z * z / (4 * total * total))
+    scale = 1 + z * z / total
+    return max(0.0, (center - spread) / scale), min(1.0, (center + spread) / scale)
+
+
+def evaluate(
+    controller: Controller,
+    robot: Robot,
+    backend: str,
+    space: str,
+    episodes: int = 100,
+    seed: int = TEST_SEED,
+    centers: Array | None = None,
+    frame_skip: int = 1,
+    disturbances: Disturbances | None = None,
+) -> Result:
+    """Run a controller from the start on targets drawn from a space.
+
+    Args:
+        controller: who acts.
+        robot: the description.
+        backend: the engine.
+        space: the operation space.
+        episodes: how many, run as one batch.
+        seed: of the targets (and of disturbances): the same seed gives every controller the same ones.
+        centers: the demonstrations' targets, shape (n, 3), for Floating and Spatter.
+        frame_skip: simulation steps each action is held for.
+        disturbances: what goes wrong between policy and robot.
+
+    Raises:
+        CdcsrError: an unknown engine or space, or no episodes.
+    """
+    if episodes < 1:
+        raise CdcsrError(f"episodes must be at least 1, not {episodes}.")
+    env = ReachVectorEnv(
+        episodes,
+        robot,
+        backend,
+        space,
+        frame_skip=frame_skip,
+        centers=centers,
+        disturbances=disturbances,
+        autoreset_mode="Disabled",
+    )
+    try:
+        observation, _ = env.reset(seed=seed)
+        outcome = rollout(controller, env, observation)
+        return Result(
+            outcome.success,
+            np.where(outcome.success, outcome.length * frame_skip, EPISODE_STEPS),
+            outcome.distance,
+            env.targets.copy(),
+        )
+    finally:
+        env.close()

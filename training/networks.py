@@ -1,0 +1,130 @@
+"""Networks: a fixed encoding of the observation, deterministic actors, and ensembles of critics."""
+
+from __future__ import annotations
+
+import math
+from typing import Literal
+
+import torch
+from torch import Tensor, nn
+from torch.nn import functional
+
+from cdcsr.robot import Robot
+from cdcsr.tasks import observation_size
+
+_TIP, _TARGET = slice(0, 3), slice(6, 9)
+_ERROR_SCALE = 0.1
+"""Scale of the vector from tip to target, in [m]."""
+
+Activation = Literal["tanh", "relu"]
+
+
+class Encoder(nn.Module):
+    """Scales eq. (1) by the range in which each number is useful, not by how little it moves in clean runs.
+
+    Base position scaled to millimetres, say, would make a policy that centimetres of noise on it destroy.
+
+    Args:
+        robot: positions are centred on its workspace.
+        with_error: append the scaled vector from tip to target; linear in the rest, but hard to learn.
+    """
+
+    offset: Tensor
+    scale: Tensor
+
+    def __init__(self, robot: Robot, with_error: bool) -> None:
+        super().__init__()
+        center, cables = list(robot.workspace.center), robot.num_cables
+        # Tip position and velocity, target, distance, base position, quaternion, velocity, rates, travel.
+        offset = [*center, 0, 0, 0, *center, 0, 0, 0, 0, 1, 0, 0, 0, *[0] * 6, *[0] * cables]
+        scale = [*[0.3] * 3, *[1] * 3, *[0.3] * 3, 0.3, *[0.1] * 3, *[0.1] * 4, *[0.1] * 6, *[0.03] * cables]
+        self.register_buffer("offset", torch.tensor(offset, dtype=torch.float32))
+        self.register_buffer("scale", torch.tensor(scale, dtype=torch.float32))
+        self.with_error = with_error
+        self.size = observation_size(robot) + 3 * with_error
+
+    def forward(self, observation: Tensor) -> Tensor:
+        """(..., 23 + C) -> (..., size)."""
+        encoded = (observation - self.offset) / self.scale
+        if not self.with_error:
+            return encoded
+        error = (observation[..., _TARGET] - observation[..., _TIP]) / _ERROR_SCALE
+        return torch.cat([encoded, error], dim=-1)
+
+
+class Actor(nn.Module):
+    """A deterministic policy: observation -> servo set-points, everything it needs inside.
+
+    `forward` maps encoded observations to actions in [-1, 1]; `command` goes from observation to set-points.
+    """
+
+    eta: Tensor
+
+    def __init__(self, robot: Robot, with_error: bool, hidden: tuple[int, ...], activation: Activation) -> None:
+        super().__init__()
+        self.encoder = Encoder(robot, with_error)
+        layers: list[nn.Module] = []
+        width = self.encoder.size
+        for size in hidden:
+            layers += [nn.Linear(width, size), nn.Tanh() if activation == "tanh" else nn.ReLU()]
+            width = size
+        self.net = nn.Sequential(*layers, nn.Linear(width, robot.num_cables), nn.Tanh())
+        self.register_buffer("eta", torch.tensor([servo.eta for servo in robot.servos], dtype=torch.float32))
+
+    def forward(self, encoded: Tensor) -> Tensor:
+        """(..., encoder.size) -> (..., C) in [-1, 1]."""
+        return self.net(encoded)
+
+    def to_command(self, action: Tensor) -> Tensor:
+        """[-1, 1] -> set-points in [-eta, 0] m."""
+        return (action - 1) * (self.eta / 2)
+
+    def from_command(self, command: Tensor) -> Tensor:
+        """Set-points in [-eta, 0] m -> [-1, 1]."""
+        return command / (self.eta / 2) + 1
+
+    def command(self, observation: Tensor) -> Tensor:
+        """(..., 23 + C) -> set-points (..., C) in [m]."""
+        return self.to_command(self(self.encoder(observation)))
+
+
+class Critics(nn.Module):
+    """E independent action-value networks, evaluated as one batch of matrix products."""
+
+    def __init__(self, inputs: int, hidden: tuple[int, ...], num: int, layer_norm: bool) -> None:
+        super().__init__()
+        sizes = [inputs, *hidden, 1]
+        self.weights = nn.ParameterList()
+        self.biases = nn.ParameterList()
+        for fan_in, fan_out in zip(sizes[:-1], sizes[1:], strict=True):
+            bound = 1 / math.sqrt(fan_in)  # as nn.Linear begins
+            self.weights.append(nn.Parameter(torch.empty(num, fan_in, fan_out).uniform_(-bound, bound)))
+            self.biases.append(nn.Parameter(torch.empty(num, 1, fan_out).uniform_(-bound, bound)))
+        self.gains = nn.ParameterList([nn.Parameter(torch.ones(num, 1, h)) for h in hidden if layer_norm])
+        self.shifts = nn.ParameterList([nn.Parameter(torch.zeros(num, 1, h)) for h in hidden if layer_norm])
+
+    def forward(self, encoded: Tensor, action: Tensor, members: Tensor | None = None) -> Tensor:
+        """Action values.
+
+        Args:
+            encoded: shape (B, inputs - C).
+            action: shape (B, C), in [-1, 1].
+            members: which critics, shape (Z,); None for all.
+
+        Returns:
+            Shape (E, B), or (Z, B).
+        """
+
+        def pick(parameter: Tensor) -> Tensor:
+            return parameter if members is None else parameter[members]
+
+        x = torch.cat([encoded, action], dim=-1)
+        num = len(self.weights[0]) if members is None else len(members)
+        h = x.expand(num, *x.shape)
+        last = len(self.weights) - 1
+        for i in range(last):
+            h = torch.baddbmm(pick(self.biases[i]), h, pick(self.weights[i]))
+            if len(self.gains):
+                h = functional.layer_norm(h, h.shape[-1:]) * pick(self.gains[i]) + pick(self.shifts[i])
+            h = functional.relu(h)
+        return torch.baddbmm(pick(self.biases[last]), h, pick(self.weights[last])).squeeze(-1)

@@ -1,0 +1,112 @@
+"""A trained policy as files, and as a Controller. Nothing is unpickled: weights are safetensors, the rest is JSON."""
+
+from __future__ import annotations
+
+import json
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from safetensors import SafetensorError
+from safetensors.torch import load_file, save
+
+from cdcsr.envs import ReachVectorEnv
+from cdcsr.errors import CdcsrError
+from cdcsr.files import write_bytes, write_json
+from cdcsr.robot import Robot, parse_robot
+from controllers.controller import Controller
+from training.networks import Actor
+
+Array = NDArray[np.float64]
+
+_WEIGHTS, _CARD = "policy.safetensors", "policy.json"
+_FORMAT = 1
+
+
+class Policy(Controller):
+    """A learned actor with all it needs to act: robot, scaling, and how it came to be.
+
+    Attributes:
+        name: what it is called in tables.
+        robot: the description it was trained with.
+        centers: the demonstrations' targets, shape (n, 3): what Floating and Spatter surround.
+        card: how it was trained, as plain data.
+    """
+
+    def __init__(self, actor: Actor, robot: Robot, centers: Array, card: dict[str, Any]) -> None:
+        self.actor, self.robot, self.centers, self.card = actor, robot, centers, card
+        self.name = str(card["name"])
+        self._checked = robot
+
+    @property
+    def frame_skip(self) -> int:
+        """Simulation steps each action is held for."""
+        return int(self.card["frame_skip"])
+
+    def act(self, env: ReachVectorEnv, observation: Array, active: NDArray[np.bool_]) -> Array:  # noqa: ARG002
+        if env.robot is not self._checked:
+            self._check(env.robot)
+        with torch.no_grad():
+            return self.actor.command(torch.as_tensor(observation, dtype=torch.float32)).numpy().astype(np.float64)
+
+    def _check(self, robot: Robot) -> None:
+        if robot.fingerprint != self.robot.fingerprint:
+            raise CdcsrError(
+                f"The policy {self.name!r} is for robot {self.robot.name!r} ({self.robot.fingerprint}), not for "
+                f"{robot.name!r} ({robot.fingerprint})."
+            )
+        self._checked = robot
+
+    def save(self, folder: Path) -> None:
+        """Write the policy into a folder, made if missing; a policy that is there is replaced."""
+        actor = self.actor
+        card = {
+            **self.card,
+            "format": _FORMAT,
+            "robot": self.robot.name,
+            "robot_fingerprint": self.robot.fingerprint,
+            "robot_description": self.robot.to_toml(),
+            "centers": self.centers.tolist(),
+            "network": {
+                "with_error": actor.encoder.with_error,
+                "hidden": [layer.out_features for layer in actor.net if isinstance(layer, torch.nn.Linear)][:-1],
+                "activation": "tanh" if isinstance(actor.net[1], torch.nn.Tanh) else "relu",
+            },
+            "versions": {name: version(name) for name in ("cdcsr", "torch", "mujoco", "pybullet", "numpy")},
+        }
+        weights = {name: tensor.contiguous() for name, tensor in actor.state_dict().items()}
+        write_bytes(folder / _WEIGHTS, save(weights))
+        write_json(folder / _CARD, card)
+
+
+def load_policy(folder: Path) -> Policy:
+    """Read a policy from its folder, or from the folder of a run.
+
+    Raises:
+        CdcsrError: there is no policy, or its files are damaged or do not belong together.
+    """
+    if not (folder / _CARD).is_file() or not (folder / _WEIGHTS).is_file():
+        raise CdcsrError(f"{folder} holds no policy: {_CARD} and {_WEIGHTS} are needed (made by `cdcsr train`).")
+    try:
+        card = json.loads((folder / _CARD).read_text("utf-8"))
+        if card["format"] != _FORMAT:
+            raise CdcsrError(f"{folder / _CARD} has format {card['format']}; this version reads format {_FORMAT}.")
+        robot = parse_robot(card["robot_description"], str(folder / _CARD))
+        if robot.fingerprint != card["robot_fingerprint"]:
+            raise CdcsrError(f"{folder / _CARD}: the robot's description does not match its fingerprint.")
+        network = card["network"]
+        actor = Actor(robot, bool(network["with_error"]), tuple(network["hidden"]), network["activation"])
+        actor.load_state_dict(load_file(folder / _WEIGHTS))
+        centers = np.array(card["centers"], dtype=np.float64).reshape(-1, 3)
+        policy = Policy(actor, robot, centers, card)
+        _ = policy.frame_skip
+    except (OSError, ValueError, KeyError, TypeError, AttributeError, RuntimeError, SafetensorError) as error:
+        reason = str(error).split("\n")[0]
+        raise CdcsrError(
+            f"The policy in {folder} is damaged ({type(error).__name__}: {reason}); copy or train it anew."
+        ) from None
+    actor.requires_grad_(False)
+    return policy
