@@ -44,14 +44,14 @@ class Channel:
             self._received = observation
         else:
             self._received = np.where(fresh[:, None], observation, self._received)
-        return self._received
+        return self._received.copy()
 
     def observe(self, observation: Array) -> Array:
         """What arrives of an observation, shape (num, n)."""
         assert self._received is not None
         lost = self._rng.random(len(observation)) < self._is.packet_loss
         self._received = np.where(lost[:, None], self._received, self._noisy(observation))
-        return self._received
+        return self._received.copy()
 
     def command(self, command: Array) -> Array:
         """What arrives of a command, shape (num, C)."""

@@ -11,11 +11,11 @@ from gymnasium.vector.utils import batch_space
 from numpy.typing import NDArray
 
 from cdcsr.disturbances import Channel, Disturbances
-from cdcsr.errors import CdcsrError
+from cdcsr.errors import CdcsrError, unknown_choice
 from cdcsr.robot import Robot, load_robot
 from cdcsr.simulation import make_simulation
 from cdcsr.spaces import make_space
-from cdcsr.tasks import Reach, Reward, observation_size
+from cdcsr.tasks import Reach, Reward, actions_per_episode, observation_size
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -24,7 +24,7 @@ EPISODE_STEPS = 250
 """Simulation steps an episode may take (BATD3 paper, section V-A)."""
 
 
-class ReachVectorEnv(VectorEnv[Array, Array, Array]):
+class ReachVectorEnv(VectorEnv[Array, Array, NDArray[Any]]):
     """Many robots reaching for targets, stepped as one batch by the engine.
 
     Made by ``gymnasium.make_vec("cdcsr/Reach-v0", num_envs=N, ...)``. The autoreset mode is SAME_STEP: when an
@@ -60,10 +60,6 @@ class ReachVectorEnv(VectorEnv[Array, Array, Array]):
         disturbances: Disturbances | None = None,
         autoreset_mode: AutoresetMode | str = AutoresetMode.SAME_STEP,
     ) -> None:
-        if reward not in ("sparse", "dense"):
-            raise CdcsrError(f"reward must be 'sparse' or 'dense', not {reward!r}.")
-        if frame_skip < 1 or max_steps < frame_skip:
-            raise CdcsrError(f"frame_skip must be between 1 and max_steps ({max_steps}), not {frame_skip}.")
         mode = AutoresetMode(autoreset_mode)
         if mode is AutoresetMode.NEXT_STEP:
             raise CdcsrError("autoreset_mode must be SAME_STEP or DISABLED; NEXT_STEP would waste a step.")
@@ -71,8 +67,8 @@ class ReachVectorEnv(VectorEnv[Array, Array, Array]):
         self.backend, self.frame_skip = backend, frame_skip
         self.task = Reach(threshold, reward)
         self.space = make_space(space, self.robot, centers)
+        self.max_actions = actions_per_episode(max_steps, frame_skip)
         self.simulation = make_simulation(self.robot, backend, num_envs)
-        self.max_actions = max_steps // frame_skip
         self.num_envs = num_envs
         self.single_observation_space = gym.spaces.Box(-np.inf, np.inf, (observation_size(self.robot),), np.float64)
         self._eta = np.array([servo.eta for servo in self.robot.servos])
@@ -86,22 +82,23 @@ class ReachVectorEnv(VectorEnv[Array, Array, Array]):
         self.targets = np.zeros((num_envs, 3))
         self.actions_taken = np.zeros(num_envs, dtype=np.int64)
 
-    def reset(
-        self, *, seed: int | list[int | None] | None = None, options: dict[str, Any] | None = None
-    ) -> tuple[Array, dict[str, Any]]:
+    def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Array, dict[str, Any]]:
         """Begin new episodes.
 
         Args:
             seed: seeds the one generator that draws all targets and disturbances.
             options: ``targets``, shape (num_envs, 3), to set instead of drawing; ``reset_mask``, shape
                 (num_envs,), to begin only some episodes.
+
+        Raises:
+            CdcsrError: an unknown option, or one of the wrong shape.
         """
-        options = options or {}
+        super().reset(seed=seed)
         if seed is not None:
-            self._np_random, self._np_random_seed = gym.utils.seeding.np_random(seed if isinstance(seed, int) else seed[0])
-            self._channel = Channel(self._disturbances, self._np_random)
-        fresh = np.asarray(options.get("reset_mask", np.ones(self.num_envs, dtype=bool)), dtype=bool)
-        observation = self._begin(fresh, options.get("targets"))
+            self._channel = Channel(self._disturbances, self.np_random)
+        given = _read_options(options, targets=(self.num_envs, 3), reset_mask=(self.num_envs,))
+        fresh = given.get("reset_mask", np.ones(self.num_envs)).astype(np.bool_)
+        observation = self._begin(fresh, given.get("targets"))
         state = self.simulation.state()
         distance = self.task.distance(state, self.targets)
         return observation, {"is_success": distance <= self.task.threshold, "distance": distance}
@@ -130,7 +127,7 @@ class ReachVectorEnv(VectorEnv[Array, Array, Array]):
         if targets is None:
             self.targets[ids] = self.space.sample(self.np_random, len(ids))
         else:
-            self.targets[ids] = np.asarray(targets, dtype=np.float64)[ids]
+            self.targets[ids] = targets[ids]
         self.simulation.reset(None if fresh.all() else ids)
         self.actions_taken[ids] = 0
         state = self.simulation.state()
@@ -158,19 +155,32 @@ class ReachEnv(gym.Env[Array, Array]):
 
     def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Array, dict[str, Any]]:
         super().reset(seed=seed)
-        target = (options or {}).get("target")
-        observation, info = self.batch.reset(seed=seed, options=None if target is None else {"targets": [target]})
+        given = _read_options(options, target=(3,))
+        targets = {"targets": given["target"][None]} if given else None
+        observation, info = self.batch.reset(seed=seed, options=targets)
         return observation[0], _first(info)
 
     def step(self, action: Array) -> tuple[Array, float, bool, bool, dict[str, Any]]:
         observation, reward, terminated, truncated, info = self.batch.step(np.asarray(action)[None])
         return observation[0], float(reward[0]), bool(terminated[0]), bool(truncated[0]), _first(info)
 
-    def render(self) -> NDArray[np.uint8] | None:  # type: ignore[override]
+    def render(self) -> NDArray[np.uint8] | None:
         return self.batch.simulation.render(0) if self.render_mode == "rgb_array" else None
 
     def close(self) -> None:
         self.batch.close()
+
+
+def _read_options(options: dict[str, Any] | None, **shapes: tuple[int, ...]) -> dict[str, Array]:
+    """The options of a reset as arrays; a name that is not in `shapes` and another shape are errors."""
+    arrays: dict[str, Array] = {}
+    for name, value in (options or {}).items():
+        if name not in shapes:
+            raise CdcsrError(unknown_choice("reset option", name, shapes))
+        arrays[name] = np.asarray(value, dtype=np.float64)
+        if arrays[name].shape != shapes[name]:
+            raise CdcsrError(f"The reset option {name!r} has the shape {shapes[name]}, not {arrays[name].shape}.")
+    return arrays
 
 
 def _first(info: dict[str, Any]) -> dict[str, Any]:

@@ -21,7 +21,8 @@ SPACES = ("anchor", *RADIUS)
 class Space(Protocol):
     """A region of targets."""
 
-    name: str
+    @property
+    def name(self) -> str: ...
 
     def sample(self, rng: np.random.Generator, num: int) -> Array:
         """`num` targets, shape (num, 3), world frame, in [m]."""

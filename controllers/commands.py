@@ -1,4 +1,4 @@
-"""The `cdcsr demonstrate` command."""
+"""The commands `cdcsr demonstrate` and `cdcsr replay`."""
 
 from __future__ import annotations
 
@@ -6,6 +6,7 @@ from pathlib import Path
 
 
 def demonstrate(
+    *,
     out: Path,
     backend: str = "mujoco",
     space: str = "anchor",
@@ -64,3 +65,41 @@ def demonstrate(
     )
     if json is not None:
         write_json(json, summary)
+
+
+def replay(
+    dataset: Path,
+    /,
+    *,
+    backend: str = "all",
+    robot: str = "paper",
+    json: Path | None = None,
+) -> None:
+    """Replay recorded commands open-loop in each engine, and show how far the tips come apart.
+
+    Args:
+        dataset: a folder made by `cdcsr demonstrate`.
+        backend: an engine, or all.
+        robot: the robot of the dataset: a shipped one's name, or a path ending in .toml.
+        json: also write the distances to this file.
+    """
+    from cdcsr.files import write_json
+    from cdcsr.robot import load_robot
+    from cdcsr.simulation import backend_names, load_backend
+    from controllers import demonstrations
+    from controllers.replay import replay as run
+
+    description = load_robot(robot)
+    episodes = demonstrations.load(dataset, description.fingerprint)
+    backends = backend_names() if backend == "all" else [backend]
+    for name in backends:
+        load_backend(name)
+    results = [run(description, name, episodes).as_dict() for name in backends]
+    print(f"{len(episodes)} recorded episodes, replayed without feedback; distance of the tip from the recording:")
+    for result in results:
+        print(
+            f"  {result['backend']:<10} mean {result['mean_mm']:.3f} mm, worst episode "
+            f"{result['mean_of_worst_episode_mm']:.3f} mm, largest {result['largest_mm']:.3f} mm"
+        )
+    if json is not None:
+        write_json(json, results)

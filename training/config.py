@@ -44,6 +44,9 @@ class Learner:
     """rho of eq. (6)."""
     clip_targets: bool = False
     """Clip targets to [0, 1], where a sparse terminal reward's values lie."""
+    saturation_penalty: float = 0.0
+    """Weight in the actor's loss of (|z| - 3)^2 where its output tanh(z) is saturated, |z| > 3. Good commands here
+    are nearly on and off; without it, a cable that is off early on may never get a gradient again."""
     policy_delay: int = 2
     """Updates of the critics to one of the actor."""
     num_envs: int = 1
@@ -73,6 +76,7 @@ PRESETS: dict[PresetName, Learner] = {
         return_steps=20,
         critics=2,
         clip_targets=True,
+        saturation_penalty=0.01,
         num_envs=64,
         exploration_noise=0.2,
         noise_hold=10,
@@ -108,7 +112,9 @@ class Train:
     seed: int = 0
     """Of everything random in the run but the demonstrations."""
     evaluate_every: int = 1_000
-    """Updates between evaluations on validation targets (100 episodes) and checkpoints; 0 for none before the end."""
+    """Updates between evaluations on validation targets and checkpoints; 0 for none before the end."""
+    evaluate_episodes: int = 100
+    """Episodes of each evaluation."""
     stop_after: float | None = None
     """Stop, resumable, after this many minutes."""
     force: bool = False
@@ -156,7 +162,7 @@ class Train:
     def identity(self) -> dict[str, Any]:
         """What must be the same for a run to be resumed."""
         data = asdict(self)
-        for name in ("out", "stop_after", "force", "json", "evaluate_every"):
+        for name in ("out", "stop_after", "force", "json", "evaluate_every", "evaluate_episodes"):
             del data[name]
         data["demonstrations"] = None if self.demonstrations is None else str(self.demonstrations)
         data["learner"]["hidden"] = list(self.learner.hidden)

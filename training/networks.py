@@ -2,15 +2,14 @@
 
 from __future__ import annotations
 
-import math
 from typing import Literal
 
 import torch
 from torch import Tensor, nn
-from torch.nn import functional
 
 from cdcsr.robot import Robot
 from cdcsr.tasks import observation_size
+from training.ensemble import Ensemble
 
 _TIP, _TARGET = slice(0, 3), slice(6, 9)
 _ERROR_SCALE = 0.1
@@ -68,12 +67,12 @@ class Actor(nn.Module):
         for size in hidden:
             layers += [nn.Linear(width, size), nn.Tanh() if activation == "tanh" else nn.ReLU()]
             width = size
-        self.net = nn.Sequential(*layers, nn.Linear(width, robot.num_cables), nn.Tanh())
+        self.net = nn.Sequential(*layers, nn.Linear(width, robot.num_cables))
         self.register_buffer("eta", torch.tensor([servo.eta for servo in robot.servos], dtype=torch.float32))
 
     def forward(self, encoded: Tensor) -> Tensor:
         """(..., encoder.size) -> (..., C) in [-1, 1]."""
-        return self.net(encoded)
+        return torch.tanh(self.net(encoded))
 
     def to_command(self, action: Tensor) -> Tensor:
         """[-1, 1] -> set-points in [-eta, 0] m."""
@@ -89,42 +88,34 @@ class Actor(nn.Module):
 
 
 class Critics(nn.Module):
-    """E independent action-value networks, evaluated as one batch of matrix products."""
+    """E independent action-value networks."""
 
     def __init__(self, inputs: int, hidden: tuple[int, ...], num: int, layer_norm: bool) -> None:
         super().__init__()
-        sizes = [inputs, *hidden, 1]
-        self.weights = nn.ParameterList()
-        self.biases = nn.ParameterList()
-        for fan_in, fan_out in zip(sizes[:-1], sizes[1:], strict=True):
-            bound = 1 / math.sqrt(fan_in)  # as nn.Linear begins
-            self.weights.append(nn.Parameter(torch.empty(num, fan_in, fan_out).uniform_(-bound, bound)))
-            self.biases.append(nn.Parameter(torch.empty(num, 1, fan_out).uniform_(-bound, bound)))
-        self.gains = nn.ParameterList([nn.Parameter(torch.ones(num, 1, h)) for h in hidden if layer_norm])
-        self.shifts = nn.ParameterList([nn.Parameter(torch.zeros(num, 1, h)) for h in hidden if layer_norm])
+        self.ensemble = Ensemble(inputs, hidden, num, layer_norm)
 
-    def forward(self, encoded: Tensor, action: Tensor, members: Tensor | None = None) -> Tensor:
-        """Action values.
+    def forward(self, encoded: Tensor, action: Tensor, members: list[int] | None = None) -> Tensor:
+        """Action values, differentiable in state and action (and not in the parameters).
 
         Args:
             encoded: shape (B, inputs - C).
             action: shape (B, C), in [-1, 1].
-            members: which critics, shape (Z,); None for all.
+            members: which critics, Z of them; None for all.
 
         Returns:
             Shape (E, B), or (Z, B).
         """
+        return self.ensemble(torch.cat([encoded, action], dim=-1), members)
 
-        def pick(parameter: Tensor) -> Tensor:
-            return parameter if members is None else parameter[members]
+    def regress(self, encoded: Tensor, action: Tensor, target: Tensor) -> Tensor:
+        """Set the parameters' gradient to that of the critics' mean squared errors, summed over critics.
 
-        x = torch.cat([encoded, action], dim=-1)
-        num = len(self.weights[0]) if members is None else len(members)
-        h = x.expand(num, *x.shape)
-        last = len(self.weights) - 1
-        for i in range(last):
-            h = torch.baddbmm(pick(self.biases[i]), h, pick(self.weights[i]))
-            if len(self.gains):
-                h = functional.layer_norm(h, h.shape[-1:]) * pick(self.gains[i]) + pick(self.shifts[i])
-            h = functional.relu(h)
-        return torch.baddbmm(pick(self.biases[last]), h, pick(self.weights[last])).squeeze(-1)
+        Args:
+            encoded: shape (B, inputs - C).
+            action: shape (B, C), in [-1, 1].
+            target: shape (B,), for every critic.
+
+        Returns:
+            Action values, shape (E, B).
+        """
+        return self.ensemble.regress(torch.cat([encoded, action], dim=-1), target)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from importlib import resources
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any
@@ -14,7 +15,7 @@ from safetensors import SafetensorError
 from safetensors.torch import load_file, save
 
 from cdcsr.envs import ReachVectorEnv
-from cdcsr.errors import CdcsrError
+from cdcsr.errors import CdcsrError, unknown_choice
 from cdcsr.files import write_bytes, write_json
 from cdcsr.robot import Robot, parse_robot
 from controllers.controller import Controller
@@ -110,3 +111,18 @@ def load_policy(folder: Path) -> Policy:
         ) from None
     actor.requires_grad_(False)
     return policy
+
+
+def find_policy(name: str) -> Policy:
+    """A policy by its folder, by the folder of its run, or by the name of a shipped one.
+
+    Raises:
+        CdcsrError: there is none, or it is damaged.
+    """
+    shipped = Path(str(resources.files("models"))) / "policies"
+    if not Path(name).exists() and (shipped / name / _CARD).is_file():
+        return load_policy(shipped / name)
+    if not Path(name).exists():
+        names = [path.name for path in shipped.iterdir() if (path / _CARD).is_file()] if shipped.is_dir() else []
+        raise CdcsrError(unknown_choice("policy", name, names) + " Or give the folder of a policy or a run.")
+    return load_policy(Path(name))

@@ -194,9 +194,8 @@ class Run:
                         episode.observations, episode.actions, episode.rewards, episode.success,
                         _actions(clone, episode.observations),
                     )  # fmt: skip
-                if replay.size < learner.batch_size:
-                    continue
-                meter.add(algorithm.update(replay.sample(learner.batch_size, streams[1])))
+                if replay.size >= learner.batch_size:
+                    meter.add(algorithm.update(replay.sample(learner.batch_size, streams[1])))
                 bar.update(update - bar.n)
                 if update % 50 == 0:
                     bar.set_postfix(success=f"{np.mean(recent):.2f}" if recent else "-", refresh=False)
@@ -273,7 +272,7 @@ class Run:
     def _evaluate(self, policy: Policy) -> Result:
         config = self.config
         return evaluate(
-            policy, self.robot, config.backend, config.space,
+            policy, self.robot, config.backend, config.space, config.evaluate_episodes,
             seed=VALIDATION_SEED, centers=self.centers, frame_skip=config.frame_skip,
         )  # fmt: skip
 

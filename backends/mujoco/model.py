@@ -94,9 +94,7 @@ def _add_sliders(base: mujoco.MjsBody, robot: Robot, route: Routing, meshes: Map
         _draw(slider, meshes, parts[c], mujoco.mjtGeom.mjGEOM_SPHERE, [servo.radius], _STEEL)
 
 
-def _add_arm(
-    base: mujoco.MjsBody, robot: Robot, route: Routing, meshes: Mapping[str, str] | None
-) -> list[list[str]]:
+def _add_arm(base: mujoco.MjsBody, robot: Robot, route: Routing, meshes: Mapping[str, str] | None) -> list[list[str]]:
     """The links with their guides; returns the names of each cable's guides, base to anchor."""
     guides: list[list[str]] = [[] for _ in robot.servos]
 
@@ -184,9 +182,7 @@ def _add_sensors(spec: mujoco.MjSpec, robot: Robot) -> None:
     spec.add_sensor(name="base_angular_velocity", type=sensor.mjSENS_FRAMEANGVEL, objtype=body, objname="base")
     for c in range(robot.num_cables):
         tendon = mujoco.mjtObj.mjOBJ_TENDON
-        spec.add_sensor(
-            name=f"tension_{c}", type=sensor.mjSENS_TENDONLIMITFRC, objtype=tendon, objname=f"cable_{c}"
-        )
+        spec.add_sensor(name=f"tension_{c}", type=sensor.mjSENS_TENDONLIMITFRC, objtype=tendon, objname=f"cable_{c}")
 
 
 def _add_scenery(spec: mujoco.MjSpec, robot: Robot) -> None:
@@ -194,5 +190,7 @@ def _add_scenery(spec: mujoco.MjSpec, robot: Robot) -> None:
     middle = (robot.top + robot.arm_length) / 2
     spec.stat.center = [0, 0, middle]
     spec.stat.extent = float(np.hypot(robot.arm_length, robot.base.size[0]))
-    spec.worldbody.add_light(pos=[2, -3, robot.arm_length + 2], dir=[-0.4, 0.6, -0.7], type=mujoco.mjtLightType.mjLIGHT_DIRECTIONAL)
+    spec.worldbody.add_light(
+        pos=[2, -3, robot.arm_length + 2], dir=[-0.4, 0.6, -0.7], type=mujoco.mjtLightType.mjLIGHT_DIRECTIONAL
+    )
     spec.visual.headlight.ambient = [0.4, 0.4, 0.4]

@@ -14,7 +14,9 @@ from cdcsr.simulation import CAMERAS, Array, Dynamics, Ids, Simulation, Snapshot
 
 # Positions, velocities and their sensors are made current after each step. In a persistent batch the next
 # step starts from them, so this costs nothing.
-_CURRENT = int(mujoco.mjtStage.mjSTAGE_VEL)
+CURRENT = int(mujoco.mjtStage.mjSTAGE_VEL)
+_WHOLE_STATE = int(mujoco.mjtState.mjSTATE_INTEGRATION)
+"""What a row of a batch's state holds."""
 _TENSION = 9
 """Tensions begin here in the sensor data; before them tip position, tip velocity, base angular velocity."""
 _SPEED_LIMIT = 1e4
@@ -37,22 +39,22 @@ class MujocoSimulation(Simulation):
         super().__init__(robot, num)
         self.model: mujoco.MjModel = build_spec(robot).compile()
         # Waking a thread costs about as much as stepping a few copies.
-        self._batch = batch.Batch(self.model, num, threads if threads is not None else (0 if num >= 8 else 1), True)
-        self._sensors = self._batch.bind("sensordata")
-        self._qpos, self._qvel = self._batch.bind("qpos"), self._batch.bind("qvel")
-        self._time, self._ctrl = self._batch.bind("time"), self._batch.bind("ctrl")
+        self.batch = batch.Batch(self.model, num, threads if threads is not None else (0 if num >= 8 else 1), True)
+        self._sensors = self.batch.bind("sensordata")
+        self._qpos, self._qvel = self.batch.bind("qpos"), self.batch.bind("qvel")
+        self._time, self._ctrl = self.batch.bind("time"), self.batch.bind("ctrl")
         self._tension = np.zeros((num, robot.num_cables))
         self._scratch = mujoco.MjData(self.model)
         self._renderer: mujoco.Renderer | None = None
         self.reset()
 
     def reset(self, ids: Ids = None) -> None:
-        self._batch.reset(None if ids is None else np.asarray(ids, dtype=np.int32), stage=_CURRENT)
+        self.batch.reset(None if ids is None else np.asarray(ids, dtype=np.int32), stage=CURRENT)
         self._tension[slice(None) if ids is None else ids] = 0
 
     def step(self, command: Array, substeps: int = 1) -> None:
         self._ctrl[:] = command
-        self._batch.step(nstep=substeps, stage=_CURRENT)
+        self.batch.step(nstep=substeps, stage=CURRENT)
         # A cable that is not at its limit reports zero; the limit's multiplier is a pull.
         np.maximum(self._sensors[:, _TENSION:], 0, out=self._tension)
         self._check_divergence()
@@ -85,24 +87,31 @@ class MujocoSimulation(Simulation):
     def get_snapshot(self) -> Snapshot:
         velocity = self._qvel.copy()
         velocity[:, 3:6] = self._sensors[:, 6:_TENSION]  # MuJoCo's own is in the base frame
-        private = np.concatenate([self._batch.state, self._tension], axis=1)
-        return Snapshot(
-            self.engine, self.robot.fingerprint, self._time.copy(), self._qpos.copy(), velocity, private
-        )
+        private = np.concatenate([self.batch.state, self._tension], axis=1)
+        return Snapshot(self.engine, self.robot.fingerprint, self._time.copy(), self._qpos.copy(), velocity, private)
 
     def set_snapshot(self, snapshot: Snapshot) -> None:
         self._check_snapshot(snapshot)
         if snapshot.engine == self.engine:
-            size = self._batch.state.shape[1]
-            self._batch.state[:] = snapshot.private[:, :size]
+            size = self.batch.state.shape[1]
+            self.batch.state[:] = snapshot.private[:, :size]
             self._tension[:] = snapshot.private[:, size:]
         else:
-            self._batch.reset(stage=int(mujoco.mjtStage.mjSTAGE_NONE))
+            self.batch.reset(stage=int(mujoco.mjtStage.mjSTAGE_NONE))
             self._time[:], self._qpos[:], self._qvel[:] = snapshot.time, snapshot.position, snapshot.velocity
             to_body = rotation_matrix(snapshot.position[:, 3:7]).swapaxes(1, 2)
             self._qvel[:, 3:6] = np.einsum("nij,nj->ni", to_body, snapshot.velocity[:, 3:6])
             self._tension[:] = 0
-        self._batch.forward(stage=_CURRENT)
+        self.batch.forward(stage=CURRENT)
+
+    def write_to(self, data: mujoco.MjData, index: int = 0) -> None:
+        """Put one copy's state into MuJoCo data of the same coordinates. What follows from it is for the caller."""
+        mujoco.mj_setState(data.model, data, self.batch.state[index], _WHOLE_STATE)
+
+    def read_from(self, data: mujoco.MjData, index: int = 0) -> None:
+        """Continue one copy from the state in MuJoCo data of the same coordinates, applied forces included."""
+        mujoco.mj_getState(data.model, data, self.batch.state[index], _WHOLE_STATE)
+        self.batch.forward([index], stage=CURRENT)
 
     def dynamics(self, ids: Ids = None) -> Dynamics:
         """The equation of motion, from MuJoCo's own model."""
@@ -133,9 +142,10 @@ class MujocoSimulation(Simulation):
 
     def render(self, index: int = 0, camera: str = "side") -> NDArray[np.uint8]:
         azimuth, elevation = CAMERAS[camera]
-        if self._renderer is None:
+        renderer = self._renderer
+        if renderer is None:
             try:
-                self._renderer = mujoco.Renderer(self.model, 480, 640)
+                renderer = self._renderer = mujoco.Renderer(self.model, 480, 640)
             except Exception as error:  # each GL platform fails in its own way, none with a common type
                 raise CdcsrError(
                     "MuJoCo cannot draw here: it found no OpenGL (set MUJOCO_GL to egl, osmesa or glfw, or draw "
@@ -146,8 +156,8 @@ class MujocoSimulation(Simulation):
         view.distance, view.azimuth, view.elevation = 1.6 * self.model.stat.extent, azimuth + 90, elevation
         self._scratch.qpos = self._qpos[index]
         mujoco.mj_forward(self.model, self._scratch)
-        self._renderer.update_scene(self._scratch, view)
-        return self._renderer.render()
+        renderer.update_scene(self._scratch, view)
+        return renderer.render()
 
     def close(self) -> None:
         if self._renderer is not None:
@@ -157,5 +167,6 @@ class MujocoSimulation(Simulation):
 
 def _dense_tendon_jacobian(model: mujoco.MjModel, data: mujoco.MjData) -> Array:
     dense = np.zeros((model.ntendon, model.nv))
-    mujoco.mju_sparse2dense(dense, data.ten_J.ravel(), model.ten_J_rownnz, model.ten_J_rowadr, model.ten_J_colind.ravel())
+    columns = model.ten_J_colind.ravel()
+    mujoco.mju_sparse2dense(dense, data.ten_J.ravel(), model.ten_J_rownnz, model.ten_J_rowadr, columns)
     return dense

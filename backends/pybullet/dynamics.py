@@ -21,10 +21,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from backends.pybullet.model import slider_places
+from backends.pybullet.vectors import Vec, add, blend, cross, dot, vec
 from cdcsr.robot import Robot
 
 Array = NDArray[np.float64]
-Vec = tuple[float, float, float]
 
 
 class Chain(NamedTuple):
@@ -87,37 +87,11 @@ def chain(robot: Robot) -> Chain:
 
 
 @numba.njit(cache=True)
-def _vec(a: Array) -> Vec:
-    return a[0], a[1], a[2]
-
-
-@numba.njit(cache=True)
-def _cross(a: Vec, b: Vec) -> Vec:
-    return a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]
-
-
-@numba.njit(cache=True)
-def _dot(a: Vec, b: Vec) -> float:
-    return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
-
-
-@numba.njit(cache=True)
-def _sum(a: Vec, b: Vec) -> Vec:
-    return a[0] + b[0], a[1] + b[1], a[2] + b[2]
-
-
-@numba.njit(cache=True)
-def _blend(s: float, a: Vec, t: float, b: Vec) -> Vec:
-    """s a + t b."""
-    return s * a[0] + t * b[0], s * a[1] + t * b[1], s * a[2] + t * b[2]
-
-
-@numba.njit(cache=True)
 def _turned(moments: Array, axes: Array, a: Vec) -> Vec:
     """A body's inertia, given by moments and axes, times a vector."""
-    x, y, z = _vec(axes[0]), _vec(axes[1]), _vec(axes[2])
-    in_plane = _blend(moments[0] * _dot(x, a), x, moments[1] * _dot(y, a), y)
-    return _blend(1.0, in_plane, moments[2] * _dot(z, a), z)
+    x, y, z = vec(axes[0]), vec(axes[1]), vec(axes[2])
+    in_plane = blend(moments[0] * dot(x, a), x, moments[1] * dot(y, a), y)
+    return blend(1.0, in_plane, moments[2] * dot(z, a), z)
 
 
 @numba.njit(cache=True)
@@ -142,20 +116,20 @@ def forward_kinematics(chain: Chain, position: Array) -> Frames:
     z = (2 * (i * k + w * j), 2 * (j * k - w * i), 1 - 2 * (i * i + j * j))
     axes[0, 0], axes[0, 1], axes[0, 2] = x, y, z
     for c in range(num_sliders):
-        across = _blend(chain.slider_place[c, 0], x, chain.slider_place[c, 1], y)
-        slider[c] = _blend(1.0, across, chain.slider_place[c, 2] + position[7 + c], z)
-    place = _blend(chain.top, z, 0.0, z)
+        across = blend(chain.slider_place[c, 0], x, chain.slider_place[c, 1], y)
+        slider[c] = blend(1.0, across, chain.slider_place[c, 2] + position[7 + c], z)
+    place = blend(chain.top, z, 0.0, z)
     for n in range(num_links):
         joint[n] = place
         s, c = sine[2 * n], cosine[2 * n]
-        motion[2 * n, :3], motion[2 * n, 3:] = _cross(place, x), x
-        y, z = _blend(c, y, s, z), _blend(c, z, -s, y)
+        motion[2 * n, :3], motion[2 * n, 3:] = cross(place, x), x
+        y, z = blend(c, y, s, z), blend(c, z, -s, y)
         s, c = sine[2 * n + 1], cosine[2 * n + 1]
-        motion[2 * n + 1, :3], motion[2 * n + 1, 3:] = _cross(place, y), y
-        z, x = _blend(c, z, s, x), _blend(c, x, -s, z)
+        motion[2 * n + 1, :3], motion[2 * n + 1, 3:] = cross(place, y), y
+        z, x = blend(c, z, s, x), blend(c, x, -s, z)
         axes[n + 1, 0], axes[n + 1, 1], axes[n + 1, 2] = x, y, z
-        center[n] = _blend(1.0, place, 0.5 * chain.link_length[n], z)
-        place = _blend(1.0, place, chain.link_length[n], z)
+        center[n] = blend(1.0, place, 0.5 * chain.link_length[n], z)
+        place = blend(1.0, place, chain.link_length[n], z)
     joint[num_links] = place
     return Frames(axes, motion, joint, center, slider, sine, cosine)
 
@@ -166,7 +140,7 @@ def _add_body(composite: Array, mass: float, moments: Array, axes: Array, at: Ve
     composite[0] += mass
     for r in range(3):
         composite[1 + r] += mass * at[r]
-        composite[4 + r] += mass * (_dot(at, at) - at[r] * at[r])
+        composite[4 + r] += mass * (dot(at, at) - at[r] * at[r])
         for k in range(3):
             composite[4 + r] += moments[k] * axes[k, r] * axes[k, r]
     composite[7] -= mass * at[0] * at[1]
@@ -188,18 +162,18 @@ def mass_matrix(chain: Chain, frames: Frames) -> Array:
     composite = np.zeros(10)
     momentum = np.empty(6)
     for n in range(num_links - 1, -1, -1):
-        _add_body(composite, chain.link_mass[n], chain.link_inertia[n], frames.axes[n + 1], _vec(frames.center[n]))
+        _add_body(composite, chain.link_mass[n], chain.link_inertia[n], frames.axes[n + 1], vec(frames.center[n]))
         b = composite
         moment = (b[1], b[2], b[3])
         for hinge in (2 * n + 1, 2 * n):
-            v, a = _vec(frames.motion[hinge]), _vec(frames.motion[hinge, 3:])
+            v, a = vec(frames.motion[hinge]), vec(frames.motion[hinge, 3:])
             spin = (
                 b[4] * a[0] + b[7] * a[1] + b[8] * a[2],
                 b[7] * a[0] + b[5] * a[1] + b[9] * a[2],
                 b[8] * a[0] + b[9] * a[1] + b[6] * a[2],
             )
-            momentum[:3] = _blend(b[0], v, 1.0, _cross(a, moment))
-            momentum[3:] = _sum(spin, _cross(moment, v))
+            momentum[:3] = blend(b[0], v, 1.0, cross(a, moment))
+            momentum[3:] = add(spin, cross(moment, v))
             row = first + hinge
             for r in range(6):
                 matrix[row, r] = matrix[r, row] = momentum[r]
@@ -209,12 +183,12 @@ def mass_matrix(chain: Chain, frames: Frames) -> Array:
                     value += frames.motion[other, r] * momentum[r]
                 matrix[row, first + other] = matrix[first + other, row] = value
     upright = np.eye(3)
-    z = _vec(frames.axes[0, 2])
+    z = vec(frames.axes[0, 2])
     for c in range(num_sliders):
-        mass, at = chain.slider_mass[c], _vec(frames.slider[c])
+        mass, at = chain.slider_mass[c], vec(frames.slider[c])
         _add_body(composite, mass, np.full(3, chain.slider_moment[c]), upright, at)
-        momentum[:3] = _blend(mass, z, 0.0, z)
-        momentum[3:] = _cross(at, _vec(momentum))
+        momentum[:3] = blend(mass, z, 0.0, z)
+        momentum[3:] = cross(at, vec(momentum))
         for r in range(6):
             matrix[6 + c, r] = matrix[r, 6 + c] = momentum[r]
         matrix[6 + c, 6 + c] = mass
@@ -248,45 +222,45 @@ def bias_force(chain: Chain, frames: Frames, velocity: Array) -> Array:
     first = 6 + num_sliders
     bias = np.empty(first + 2 * num_links)
     forces = np.empty((num_links, 6))
-    base_rate = _vec(velocity[3:6])
+    base_rate = vec(velocity[3:6])
 
     rate, speeding = base_rate, (0.0, 0.0, 0.0)
-    start = _vec(frames.joint[0])
-    acceleration = _cross(rate, _cross(rate, start))
+    start = vec(frames.joint[0])
+    acceleration = cross(rate, cross(rate, start))
     for n in range(num_links):
         for hinge in (2 * n, 2 * n + 1):
             turn = velocity[first + hinge]
-            axis = _vec(frames.motion[hinge, 3:])
-            speeding = _blend(1.0, speeding, turn, _cross(rate, axis))
-            rate = _blend(1.0, rate, turn, axis)
-        half = _blend(0.5 * chain.link_length[n], _vec(frames.axes[n + 1, 2]), 0.0, rate)
-        gain = _sum(_cross(speeding, half), _cross(rate, _cross(rate, half)))
-        force = _blend(chain.link_mass[n], _sum(acceleration, gain), 0.0, rate)
+            axis = vec(frames.motion[hinge, 3:])
+            speeding = blend(1.0, speeding, turn, cross(rate, axis))
+            rate = blend(1.0, rate, turn, axis)
+        half = blend(0.5 * chain.link_length[n], vec(frames.axes[n + 1, 2]), 0.0, rate)
+        gain = add(cross(speeding, half), cross(rate, cross(rate, half)))
+        force = blend(chain.link_mass[n], add(acceleration, gain), 0.0, rate)
         moments, axes = chain.link_inertia[n], frames.axes[n + 1]
-        torque = _sum(_turned(moments, axes, speeding), _cross(rate, _turned(moments, axes, rate)))
+        torque = add(_turned(moments, axes, speeding), cross(rate, _turned(moments, axes, rate)))
         forces[n, :3] = force
-        forces[n, 3:] = _sum(torque, _cross(_vec(frames.center[n]), force))
-        acceleration = _blend(1.0, acceleration, 2.0, gain)
+        forces[n, 3:] = add(torque, cross(vec(frames.center[n]), force))
+        acceleration = blend(1.0, acceleration, 2.0, gain)
 
     total, moment = (0.0, 0.0, 0.0), (0.0, 0.0, 0.0)
     for n in range(num_links - 1, -1, -1):
-        total = _sum(total, _vec(forces[n]))
-        moment = _sum(moment, _vec(forces[n, 3:]))
+        total = add(total, vec(forces[n]))
+        moment = add(moment, vec(forces[n, 3:]))
         for hinge in (2 * n + 1, 2 * n):
             motion = frames.motion[hinge]
-            bias[first + hinge] = _dot(_vec(motion), total) + _dot(_vec(motion[3:]), moment)
-    z = _vec(frames.axes[0, 2])
+            bias[first + hinge] = dot(vec(motion), total) + dot(vec(motion[3:]), moment)
+    z = vec(frames.axes[0, 2])
     for c in range(num_sliders):
-        at = _vec(frames.slider[c])
-        inward = _cross(base_rate, _cross(base_rate, at))
-        aside = _cross(base_rate, z)
+        at = vec(frames.slider[c])
+        inward = cross(base_rate, cross(base_rate, at))
+        aside = cross(base_rate, z)
         mass = chain.slider_mass[c]
-        force = _blend(mass, inward, 2.0 * mass * velocity[6 + c], aside)
-        bias[6 + c] = _dot(z, force)
-        total, moment = _sum(total, force), _sum(moment, _cross(at, force))
-    gyroscopic = _cross(base_rate, _turned(chain.base_inertia, frames.axes[0], base_rate))
+        force = blend(mass, inward, 2.0 * mass * velocity[6 + c], aside)
+        bias[6 + c] = dot(z, force)
+        total, moment = add(total, force), add(moment, cross(at, force))
+    gyroscopic = cross(base_rate, _turned(chain.base_inertia, frames.axes[0], base_rate))
     bias[:3] = total
-    bias[3:6] = _sum(moment, gyroscopic)
+    bias[3:6] = add(moment, gyroscopic)
     return bias
 
 
@@ -306,12 +280,12 @@ def tip_states(chain: Chain, positions: Array, velocities: Array) -> tuple[Array
     place, speed = np.empty((num, 3)), np.empty((num, 3))
     for n in range(num):
         frames = forward_kinematics(chain, positions[n])
-        at = _vec(frames.joint[-1])
-        moving, rate = _vec(velocities[n]), _vec(velocities[n, 3:6])
+        at = vec(frames.joint[-1])
+        moving, rate = vec(velocities[n]), vec(velocities[n, 3:6])
         for hinge in range(frames.motion.shape[0]):
             turn = velocities[n, first + hinge]
-            moving = _blend(1.0, moving, turn, _vec(frames.motion[hinge]))
-            rate = _blend(1.0, rate, turn, _vec(frames.motion[hinge, 3:]))
-        place[n] = _sum(_vec(positions[n]), at)
-        speed[n] = _sum(moving, _cross(rate, at))
+            moving = blend(1.0, moving, turn, vec(frames.motion[hinge]))
+            rate = blend(1.0, rate, turn, vec(frames.motion[hinge, 3:]))
+        place[n] = add(vec(positions[n]), at)
+        speed[n] = add(moving, cross(rate, at))
     return place, speed

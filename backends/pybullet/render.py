@@ -59,7 +59,12 @@ class Renderer:
         self._low, self._high = -robot.top, robot.top + robot.arm_length
 
     def draw(
-        self, position: Array, camera: str = "side", targets: ArrayLike = (), size: tuple[int, int] = (HEIGHT, WIDTH)
+        self,
+        position: Array,
+        camera: str = "side",
+        targets: ArrayLike = (),
+        size: tuple[int, int] = (HEIGHT, WIDTH),
+        focus: tuple[ArrayLike, float] | None = None,
     ) -> NDArray[np.uint8]:
         """A picture of the robot.
 
@@ -68,6 +73,8 @@ class Renderer:
             camera: name of a view in :data:`cdcsr.simulation.CAMERAS`.
             targets: points to mark, shape (n, 3), world frame, in [m].
             size: height and width of the picture in pixels.
+            focus: a point in the world to look at, and how high a part of the world around it to show, both in [m];
+                by default the whole robot.
 
         Returns:
             Shape (height, width, 3).
@@ -80,13 +87,15 @@ class Renderer:
         self._pose(np.asarray(position, dtype=float))
         self._mark(np.asarray(targets, dtype=float).reshape(-1, 3))
         height, width = (_OVERSAMPLING * side for side in size)
-        view, light = self._look(camera)
-        span = self._high - self._low
+        whole = self._high - self._low
+        center, span = focus or ((0.0, 0.0, (self._low + self._high) / 2), (1 + 2 * _MARGIN) * whole)
+        view, light, distance = _look(camera, np.asarray(center, dtype=float), span)
+        lens = pybullet.computeProjectionMatrixFOV(_FIELD_OF_VIEW, width / height, 0.1, distance + 5 * whole)
         _, _, pixels, _, mask = pybullet.getCameraImage(
             width,
             height,
             viewMatrix=view,
-            projectionMatrix=pybullet.computeProjectionMatrixFOV(_FIELD_OF_VIEW, width / height, 0.1, 10 * span),
+            projectionMatrix=lens,
             lightDirection=light,
             lightColor=(1.0, 1.0, 1.0),
             lightAmbientCoeff=0.55,
@@ -96,26 +105,15 @@ class Renderer:
             renderer=pybullet.ER_TINY_RENDERER,
             physicsClientId=self._client,
         )
-        image = np.array(pixels, dtype=np.float32).reshape(height, width, 4)[..., :3]
+        image = np.array(pixels, dtype=np.uint16).reshape(height, width, 4)[..., :3]
         image[np.array(mask).reshape(height, width) < 0] = BACKGROUND
-        blocks = image.reshape(size[0], _OVERSAMPLING, size[1], _OVERSAMPLING, 3)
-        return blocks.mean(axis=(1, 3)).round().astype(np.uint8)
+        steps = range(_OVERSAMPLING)
+        total = np.sum([image[i::_OVERSAMPLING, j::_OVERSAMPLING] for i in steps for j in steps], axis=0)
+        return (total // _OVERSAMPLING**2).astype(np.uint8)
 
     def close(self) -> None:
         """Release the client; closing twice does nothing."""
         self._disconnect()
-
-    def _look(self, camera: str) -> tuple[list[float], list[float]]:
-        """View matrix, and the direction towards the light, which stands above the camera's shoulder."""
-        azimuth, elevation = np.deg2rad(CAMERAS[camera])
-        flat = np.array([np.sin(azimuth), -np.cos(azimuth), 0.0])
-        toward_eye = np.cos(elevation) * flat - np.sin(elevation) * np.array([0.0, 0.0, 1.0])
-        span = self._high - self._low
-        distance = (0.5 + _MARGIN) * span / np.tan(np.deg2rad(_FIELD_OF_VIEW) / 2)
-        center = np.array([0.0, 0.0, (self._low + self._high) / 2])
-        view = pybullet.computeViewMatrix(center + distance * toward_eye, center, (0, 0, 1))
-        shoulder = np.cross((0.0, 0.0, 1.0), toward_eye)
-        return view, list(toward_eye + 0.6 * shoulder + np.array([0.0, 0.0, 0.8]))
 
     def _pose(self, position: Array) -> None:
         origin, frames = position[:3], forward_kinematics(self._chain, position)
@@ -187,6 +185,17 @@ class Renderer:
 def _coloured(mesh: trimesh.Trimesh, color: tuple[int, ...]) -> trimesh.Trimesh:
     mesh.visual = ColorVisuals(mesh, face_colors=color)
     return mesh
+
+
+def _look(camera: str, center: Array, span: float) -> tuple[list[float], list[float], float]:
+    """View matrix, direction towards the light, which stands above the camera's shoulder, and the eye's distance."""
+    azimuth, elevation = np.deg2rad(CAMERAS[camera])
+    flat = np.array([np.sin(azimuth), -np.cos(azimuth), 0.0])
+    toward_eye = np.cos(elevation) * flat - np.sin(elevation) * np.array([0.0, 0.0, 1.0])
+    distance = span / 2 / np.tan(np.deg2rad(_FIELD_OF_VIEW) / 2)
+    view = pybullet.computeViewMatrix(center + distance * toward_eye, center, (0, 0, 1))
+    shoulder = np.cross((0.0, 0.0, 1.0), toward_eye)
+    return view, list(toward_eye + 0.6 * shoulder + np.array([0.0, 0.0, 0.8])), distance
 
 
 def _turn_to(direction: Array) -> Array:

@@ -1,4 +1,4 @@
-"""Some copies of a robot in one PyBullet client, stepped together in this process."""
+"""Some copies of a robot, stepped together in this process."""
 
 from __future__ import annotations
 
@@ -22,6 +22,10 @@ MAX_TURN = 0.5
 """A hinge or base that turns further than this within one step, in [rad], has left what a step can follow."""
 
 
+COPIES_PER_CLIENT = 4
+"""PyBullet's step takes a time that grows with the square of the bodies in a client; a client takes 27 MB."""
+
+
 class Divergence(NamedTuple):
     """A copy whose numbers no longer mean anything."""
 
@@ -42,9 +46,13 @@ class World:
     """
 
     def __init__(self, robot: Robot, num: int) -> None:
-        self._client = connect(robot)
-        self._disconnect = weakref.finalize(self, pybullet.disconnect, self._client)
-        self._bodies = [load_robot_body(robot, self._client) for _ in range(num)]
+        self._clients: list[int] = []
+        self._disconnect = weakref.finalize(self, _disconnect, self._clients)
+        self._bodies: list[tuple[int, int]] = []
+        for copy in range(num):
+            if copy % COPIES_PER_CLIENT == 0:
+                self._clients.append(connect(robot))
+            self._bodies.append((self._clients[-1], load_robot_body(robot, self._clients[-1])))
         self._joints = range(robot.num_cables + robot.num_hinges)
         self._chain, self._rig = chain(robot), rig(robot)
         self._time_step = robot.time_step
@@ -88,11 +96,12 @@ class World:
         lost: dict[int, Divergence] = {}
         for _ in range(substeps):
             joint_forces(self._chain, self._rig, self.position, self.velocity, command, self.tension, self._force)
-            for body, force in zip(self._bodies, self._force.tolist(), strict=True):
+            for (client, body), force in zip(self._bodies, self._force.tolist(), strict=True):
                 pybullet.setJointMotorControlArray(
-                    body, self._joints, pybullet.TORQUE_CONTROL, forces=force, physicsClientId=self._client
+                    body, self._joints, pybullet.TORQUE_CONTROL, forces=force, physicsClientId=client
                 )
-            pybullet.stepSimulation(physicsClientId=self._client)
+            for client in self._clients:
+                pybullet.stepSimulation(physicsClientId=client)
             self.time += self._time_step
             for copy in range(len(self._bodies)):
                 self._read(copy)
@@ -104,7 +113,7 @@ class World:
         return [lost[copy] for copy in sorted(lost)]
 
     def close(self) -> None:
-        """Release the client; closing twice does nothing."""
+        """Release the clients; closing twice does nothing."""
         self._disconnect()
 
     def _complaint(self, copy: int) -> str:
@@ -116,7 +125,7 @@ class World:
 
     def _write(self, copy: int) -> None:
         """Give PyBullet the position and velocity of a copy."""
-        body, client = self._bodies[copy], self._client
+        client, body = self._bodies[copy]
         position, velocity = self.position[copy].tolist(), self.velocity[copy].tolist()
         w, x, y, z = position[3:7]
         pybullet.resetBasePositionAndOrientation(body, position[:3], (x, y, z, w), physicsClientId=client)
@@ -127,7 +136,7 @@ class World:
 
     def _read(self, copy: int) -> None:
         """Take the position and velocity of a copy from PyBullet."""
-        body, client, position = self._bodies[copy], self._client, self.position[copy]
+        (client, body), position = self._bodies[copy], self.position[copy]
         place, (x, y, z, w) = pybullet.getBasePositionAndOrientation(body, physicsClientId=client)
         linear, angular = pybullet.getBaseVelocity(body, physicsClientId=client)
         angles, rates, _, _ = zip(*pybullet.getJointStates(body, self._joints, physicsClientId=client), strict=True)
@@ -135,6 +144,11 @@ class World:
             w, x, y, z = -w, -x, -y, -z  # PyBullet's sign is arbitrary; ours does not jump
         position[:] = (*place, w, x, y, z, *angles)
         self.velocity[copy] = (*linear, *angular, *rates)
+
+
+def _disconnect(clients: list[int]) -> None:
+    for client in clients:
+        pybullet.disconnect(physicsClientId=client)
 
 
 @numba.njit(cache=True)

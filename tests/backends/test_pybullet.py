@@ -310,13 +310,14 @@ def test_joint_speed_is_not_clamped(paper: Robot) -> None:
 
 
 def test_each_copy_moves_as_if_alone(paper: Robot) -> None:
-    commands = random_commands(paper, 40, num=3)
-    batch = PybulletSimulation(paper, 3)
+    """Also where the copies take more than one PyBullet client."""
+    commands = random_commands(paper, 40, num=6)
+    batch = PybulletSimulation(paper, 6)
     for command in commands:
         batch.step(command)
     together = batch.get_snapshot()
     batch.close()
-    for n in range(3):
+    for n in range(6):
         alone = PybulletSimulation(paper)
         for command in commands:
             alone.step(command[n : n + 1])

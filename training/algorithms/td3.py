@@ -63,14 +63,11 @@ class TD3:
             target = batch.reward + batch.discount * value
             if self.learner.clip_targets:
                 target = target.clamp(0, 1)
-        values = self.critics(encoded, batch.action)
-        # Summed over critics, so that the step of each does not depend on how many there are.
-        critic_loss = functional.mse_loss(values, target.expand_as(values), reduction="none").mean(1).sum()
-        self.critic_optimizer.zero_grad()
-        critic_loss.backward()
+        # Errors are summed over critics, so that the step of each does not depend on how many there are.
+        values = self.critics.regress(encoded, batch.action, target)
         self.critic_optimizer.step()
         _follow(self.target_critics.parameters(), self._critic_parameters, self.learner.soft_update)
-        metrics = {"critic_loss": critic_loss.detach() / self.learner.critics, "value": values.detach().mean()}
+        metrics = {"critic_loss": (values - target).square().mean(), "value": values.mean()}
         if self.updates % self.learner.policy_delay == 0:
             metrics["actor_loss"] = self._update_actor(encoded)
         return metrics
@@ -90,24 +87,31 @@ class TD3:
 
         Only the critics drawn are evaluated.
         """
+        return self.target_critics(encoded, action, self._draw_critics()).amin(0)
+
+    def _draw_critics(self) -> list[int] | None:
         num, drawn = self.learner.critics, self.learner.target_critics
-        members = None if drawn == num else torch.randperm(num, generator=self._generator)[:drawn]
-        return self.target_critics(encoded, action, members).amin(0)
+        return None if drawn == num else torch.randperm(num, generator=self._generator)[:drawn].tolist()
 
     def _update_actor(self, encoded: Tensor) -> Tensor:
-        # The critics' parameters are left out of this graph: their gradients would be thrown away.
-        self.critics.requires_grad_(False)
         loss = self.actor_loss(encoded)
         self.actor_optimizer.zero_grad()
         loss.backward()
         self.actor_optimizer.step()
-        self.critics.requires_grad_(True)
         _follow(self.target_actor.parameters(), self._actor_parameters, self.learner.soft_update)
         return loss.detach()
 
     def actor_loss(self, encoded: Tensor) -> Tensor:
-        """Minus the mean of all critics at the actor's own action."""
-        return -self.critics(encoded, self.actor(encoded)).mean()
+        """Minus the critics' mean at the actor's own action, and the price of saturation.
+
+        The mean is over Z critics drawn at random: its gradient is an unbiased estimate of that of the mean over
+        all E, which REDQ takes, for Z / E of the work.
+        """
+        logits = self.actor.net(encoded)
+        loss = -self.critics(encoded, torch.tanh(logits), self._draw_critics()).mean()
+        if self.learner.saturation_penalty > 0:
+            loss = loss + self.learner.saturation_penalty * functional.relu(logits.abs() - 3).square().mean()
+        return loss
 
 
 def _follow(targets: object, sources: list[torch.nn.Parameter], rate: float) -> None:

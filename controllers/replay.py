@@ -1,0 +1,62 @@
+"""Open-loop replay: the same commands in another engine, and how far the tips come apart."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cdcsr.robot import Robot
+from cdcsr.simulation import make_simulation
+from controllers.demonstrations import Episode
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Replayed:
+    """How far a replay came from what was recorded."""
+
+    backend: str
+    mean: Array
+    """Mean distance of the tips over each episode, shape (N,), in [m]."""
+    largest: Array
+    """Largest, shape (N,), in [m]."""
+
+    def as_dict(self) -> dict[str, Any]:
+        """The numbers that are reported, in [mm]."""
+        return {
+            "backend": self.backend,
+            "episodes": len(self.mean),
+            "mean_mm": 1e3 * float(self.mean.mean()),
+            "mean_of_worst_episode_mm": 1e3 * float(self.mean.max()),
+            "largest_mm": 1e3 * float(self.largest.max()),
+        }
+
+
+def replay(robot: Robot, backend: str, episodes: list[Episode], frame_skip: int = 1) -> Replayed:
+    """Give recorded commands to an engine, without feedback, all episodes side by side.
+
+    Args:
+        robot: the description they were recorded with.
+        backend: the engine.
+        episodes: recorded in any engine.
+        frame_skip: simulation steps each command is held for.
+    """
+    num = len(episodes)
+    simulation = make_simulation(robot, backend, num)
+    lengths = np.array([episode.length for episode in episodes])
+    distances = np.full((num, int(lengths.max())), np.nan)
+    command = np.zeros((num, robot.num_cables))
+    for k in range(distances.shape[1]):
+        running = k < lengths
+        for i in np.flatnonzero(running):
+            command[i] = episodes[i].actions[k]
+        simulation.step(command, frame_skip)
+        tip = simulation.state().tip_position
+        for i in np.flatnonzero(running):
+            distances[i, k] = np.linalg.norm(tip[i] - episodes[i].observations[k + 1, 0:3])
+    simulation.close()
+    return Replayed(backend, np.nanmean(distances, axis=1), np.nanmax(distances, axis=1))

@@ -1,0 +1,124 @@
+"""Evaluation and transfer: intervals, held-out targets, and the matrix."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from scipy.stats import binomtest
+
+from cdcsr.disturbances import Disturbances
+from cdcsr.envs import ReachVectorEnv
+from cdcsr.errors import CdcsrError
+from cdcsr.robot import load_robot
+from controllers.controller import Controller
+from controllers.jacobian import JacobianController
+from training import commands
+from training.evaluation import TEST_SEED, VALIDATION_SEED, Result, evaluate, wilson
+from training.transfer import Cell, disagreements, format_table
+
+Array = NDArray[np.float64]
+
+
+class Still(Controller):
+    """Pulls no cable."""
+
+    name = "still"
+
+    def act(self, env: ReachVectorEnv, observation: Array, active: NDArray[np.bool_]) -> Array:  # noqa: ARG002
+        return np.zeros((env.num_envs, env.robot.num_cables))
+
+
+@pytest.mark.parametrize(("successes", "total"), [(0, 100), (97, 100), (100, 100), (1, 3), (50, 1000)])
+def test_wilson_interval_is_scipys(successes: int, total: int) -> None:
+    expected = binomtest(successes, total).proportion_ci(0.95, method="wilson")
+    assert wilson(successes, total) == pytest.approx((expected.low, expected.high), abs=1e-12)
+
+
+def test_failures_count_in_full_and_distances_are_the_last() -> None:
+    robot = load_robot("paper")
+    result = evaluate(Still(), robot, "mujoco", "anchor", episodes=5)
+    assert result.rate == 0
+    assert (result.length == 250).all()
+    straight = np.array([0, 0, robot.top + robot.arm_length])
+    np.testing.assert_allclose(result.distance, np.linalg.norm(result.targets - straight, axis=1), atol=1e-6)
+
+
+def test_targets_depend_on_the_seed_alone() -> None:
+    robot = load_robot("paper")
+    a, b = (evaluate(Still(), robot, engine, "spatter", episodes=4).targets for engine in ("mujoco", "pybullet"))
+    np.testing.assert_array_equal(a, b)
+    other = evaluate(Still(), robot, "mujoco", "spatter", episodes=4, seed=VALIDATION_SEED).targets
+    assert TEST_SEED != VALIDATION_SEED
+    assert not np.isclose(a, other).any()
+
+
+def test_frame_skip_counts_simulation_steps() -> None:
+    robot = load_robot("paper")
+    once, fivefold = (
+        evaluate(JacobianController(robot), robot, "mujoco", "anchor", episodes=3, frame_skip=skip) for skip in (1, 5)
+    )
+    assert once.success.all()
+    assert fivefold.success.all()
+    assert (fivefold.length % 5 == 0).all()
+    np.testing.assert_allclose(fivefold.length, once.length, rtol=0.35)
+
+
+def test_full_packet_loss_blinds_a_policy_but_not_the_demonstrator() -> None:
+    robot = load_robot("paper")
+    lossy = Disturbances(packet_loss=1.0)
+    # The scripted controller asks the simulation, not the channel.
+    assert evaluate(JacobianController(robot), robot, "mujoco", "anchor", 2, disturbances=lossy).rate == 1
+
+
+def test_no_episodes_is_an_error() -> None:
+    robot = load_robot("paper")
+    with pytest.raises(CdcsrError, match="episodes must be at least 1"):
+        evaluate(Still(), robot, "mujoco", "anchor", episodes=0)
+
+
+def _cell(backend: str, success: list[bool]) -> Cell:
+    done = np.array(success)
+    result = Result(done, np.where(done, 100, 250), np.zeros(len(done)), np.zeros((len(done), 3)))
+    return Cell("p", "mujoco", "spatter", backend, "anchor", result)
+
+
+def test_disagreement_is_paired() -> None:
+    cells = [_cell("mujoco", [True, True, False, False]), _cell("pybullet", [True, False, True, False])]
+    (pair,) = disagreements(cells)
+    assert (pair.only_first, pair.only_second, pair.share) == ([1], [2], 0.5)
+    row = format_table(cells).splitlines()[2]
+    assert "0.50 [0.15, 0.85]" in row
+    assert "175.0 ± 75.0" in row
+    assert "1 / 1" in row
+
+
+def test_transfer_command_writes_every_cell(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    out = tmp_path / "transfer.json"
+    commands.transfer(["jacobian"], episodes=3, space="anchor", json=out)
+    data = json.loads(out.read_text())
+    assert [(c["backend"], c["success_rate"]) for c in data["cells"]] == [("mujoco", 1.0), ("pybullet", 1.0)]
+    assert data["disagreements"][0]["share"] == 0
+    assert "| jacobian" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["evaluate", "nobody"], "Unknown policy 'nobody'"),
+        (["evaluate", "jacobian", "--backend", "mojoco"], "Did you mean 'mujoco'?"),
+        (["evaluate", "jacobian", "--space", "anker"], "Available: anchor, floating, spatter"),
+        (["evaluate", "jacobian", "--packet-loss", "2"], "packet_loss must lie in [0, 1]"),
+        (["transfer", "jacobian", "--robot-less", "x"], "robot-less"),
+    ],
+)
+def test_bad_input_is_one_line_and_exit_code_two(arguments: list[str], message: str) -> None:
+    done = subprocess.run([sys.executable, "-m", "cdcsr", *arguments], capture_output=True, text=True, check=False)
+    assert done.returncode == 2
+    assert message in done.stderr.replace("\n", " ")
+    assert "Traceback" not in done.stderr

@@ -1,0 +1,126 @@
+"""The training run: what it leaves, how it resumes, and what it refuses."""
+
+from __future__ import annotations
+
+import csv
+import dataclasses
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+from safetensors.torch import load_file
+
+from cdcsr.errors import CdcsrError
+from controllers.commands import demonstrate
+from training.config import PRESETS, Train
+from training.policy import load_policy
+from training.trainer import train
+
+_SMALL = dataclasses.replace(
+    PRESETS["tuned"], hidden=(16, 16), batch_size=32, num_envs=4, updates=60, bc_updates=100, bc_rollouts=4
+)
+
+_SKIP = 10
+"""Episodes of 25 actions, so that some end within a short run."""
+
+
+@pytest.fixture(scope="module")
+def demonstrations(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("data") / "demonstrations"
+    demonstrate(out=folder, episodes=3, frame_skip=_SKIP)
+    return folder
+
+
+def _config(out: Path, demonstrations: Path, **options: object) -> Train:
+    config = Train(
+        out=out,
+        demonstrations=demonstrations,
+        space="spatter",
+        frame_skip=_SKIP,
+        evaluate_every=20,
+        evaluate_episodes=4,
+        learner=_SMALL,
+    )
+    return dataclasses.replace(config, **options)
+
+
+def test_a_run_leaves_policy_metrics_and_summary(tmp_path: Path, demonstrations: Path) -> None:
+    out = tmp_path / "run"
+    train(_config(out, demonstrations, json=tmp_path / "summary.json"))
+    with (out / "metrics.csv").open() as file:
+        rows = list(csv.DictReader(file))
+    assert [row["update"] for row in rows] == ["20", "40", "60"]
+    assert [row["environment_steps"] for row in rows] == ["80", "160", "240"]
+    assert list((out / "tensorboard").glob("events*"))
+    policy = load_policy(out)
+    assert policy.card["updates"] == 60
+    assert policy.card["environment_steps"] == 240
+    assert len(policy.centers) == 3
+    assert not (out / "state.safetensors").exists()
+    assert load_policy(out / "clone").card["algorithm"] == "bc"
+    assert json.loads((tmp_path / "summary.json").read_text())["validation"]["episodes"] == 4
+
+
+@pytest.mark.parametrize("algorithm", ["td3", "batd3"])
+def test_a_stopped_run_goes_on_to_the_same_bits(tmp_path: Path, demonstrations: Path, algorithm: str) -> None:
+    whole = train(_config(tmp_path / "whole", demonstrations, algorithm=algorithm))
+    halves = _config(tmp_path / "halves", demonstrations, algorithm=algorithm, evaluate_every=30)
+    train(dataclasses.replace(halves, stop_after=0.0))
+    assert (tmp_path / "halves" / "state.safetensors").exists()
+    resumed = train(halves)
+    assert resumed.card["updates"] == whole.card["updates"] == 60
+    a, b = (load_file(tmp_path / name / "policy.safetensors") for name in ("whole", "halves"))
+    assert a.keys() == b.keys()
+    for name in a:
+        np.testing.assert_array_equal(a[name].numpy(), b[name].numpy())
+
+
+def test_a_run_with_other_options_is_refused_and_kept(tmp_path: Path, demonstrations: Path) -> None:
+    out = tmp_path / "run"
+    config = _config(out, demonstrations, algorithm="bc")
+    train(config)
+    before = (out / "policy.safetensors").read_bytes()
+    with pytest.raises(CdcsrError, match=r"other options \(learner\.discount, seed\)"):
+        train(dataclasses.replace(config, seed=1, learner=dataclasses.replace(_SMALL, discount=0.9)))
+    assert (out / "policy.safetensors").read_bytes() == before
+
+
+def test_a_folder_that_is_no_run_is_refused(tmp_path: Path, demonstrations: Path) -> None:
+    (tmp_path / "thesis.tex").write_text("do not lose me")
+    with pytest.raises(CdcsrError, match="not a training run"):
+        train(_config(tmp_path, demonstrations))
+    assert [path.name for path in tmp_path.iterdir()] == ["thesis.tex"]
+
+
+def test_a_damaged_state_is_one_clear_line(tmp_path: Path, demonstrations: Path) -> None:
+    config = _config(tmp_path / "run", demonstrations)
+    train(dataclasses.replace(config, stop_after=0.0))
+    path = tmp_path / "run" / "state.safetensors"
+    path.write_bytes(path.read_bytes()[:-100])
+    with pytest.raises(CdcsrError, match=r"state\.safetensors is damaged .* --force"):
+        train(config)
+
+
+def test_demonstrations_of_another_robot_are_refused(tmp_path: Path, demonstrations: Path) -> None:
+    with pytest.raises(CdcsrError, match="are of robot 'paper'"):
+        train(_config(tmp_path / "run", demonstrations, robot="three-cable"))
+
+
+@pytest.mark.parametrize(
+    ("numbers", "message"),
+    [
+        ({"target_critics": 3}, "target_critics must be between 1 and critics"),
+        ({"batch_size": 0}, "batch_size must be at least 1"),
+        ({"discount": 1.5}, "discount must lie in"),
+    ],
+)
+def test_impossible_numbers_are_refused(numbers: dict[str, float], message: str) -> None:
+    with pytest.raises(CdcsrError, match=message):
+        Train(out=Path("x"), learner=dataclasses.replace(_SMALL, **numbers))  # type: ignore[arg-type]
+
+
+def test_preset_decides_defaults_and_options_override_them() -> None:
+    assert Train.defaults(["--preset", "paper"]).learner == PRESETS["paper"]
+    assert Train.defaults(["--preset=paper"]).preset == "paper"
+    assert Train.defaults(["--space", "anchor"]).learner == PRESETS["tuned"]

@@ -1,0 +1,195 @@
+"""The commands that measure: `cdcsr evaluate` and `cdcsr transfer`; and the main job, `cdcsr demo`."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from cdcsr.robot import Robot
+    from controllers.controller import Controller
+
+
+def evaluate(
+    policy: str,
+    /,
+    *,
+    backend: str = "all",
+    space: str | None = None,
+    episodes: int = 100,
+    seed: int | None = None,
+    robot: str = "paper",
+    action_noise: float = 0.0,
+    base_noise: float = 0.0,
+    packet_loss: float = 0.0,
+    json: Path | None = None,
+) -> None:
+    """Measure one policy, or the scripted demonstrator, on held-out targets.
+
+    Args:
+        policy: folder of a policy or a run, name of a shipped policy, or "jacobian" for the demonstrator.
+        backend: an engine, or all.
+        space: anchor, floating or spatter; by default the one the policy was trained in.
+        episodes: how many, run as one batch.
+        seed: of the targets; by default the one that nothing is tuned on.
+        robot: the robot of the scripted demonstrator; a policy brings its own.
+        action_noise: standard deviation of noise on the commands, in [m] of set-point.
+        base_noise: standard deviation of noise on the observed base position, in [m].
+        packet_loss: probability that an observation is lost.
+        json: also write the results, each episode included, to this file.
+    """
+    from cdcsr.disturbances import Disturbances
+
+    _set_threads()
+    controller, description = _controller(policy, robot)
+    spaces = [space or _trained_space(controller)]
+    _report([controller], description, backend, spaces, episodes, seed, json,
+            Disturbances(action_noise, base_noise, packet_loss))  # fmt: skip
+
+
+def transfer(
+    policies: list[str],
+    /,
+    *,
+    backend: str = "all",
+    space: str = "all",
+    episodes: int = 100,
+    seed: int | None = None,
+    json: Path | None = None,
+) -> None:
+    """Measure policies in every engine and space: the transfer matrix.
+
+    Args:
+        policies: folders of policies or runs, names of shipped policies, or "jacobian" for the demonstrator.
+        backend: an engine, or all.
+        space: anchor, floating or spatter, or all.
+        episodes: in each cell, run as one batch.
+        seed: of the targets; by default the one that nothing is tuned on.
+        json: also write the results, each episode included, to this file.
+    """
+    from cdcsr.errors import CdcsrError
+    from cdcsr.spaces import SPACES
+    from training.policy import Policy
+
+    _set_threads()
+    if not policies:
+        raise CdcsrError("No policy is given; name at least one folder of a policy or a run.")
+    controllers = [_controller(name, "paper") for name in policies]
+    robots = [robot for c, robot in controllers if isinstance(c, Policy)] or [controllers[0][1]]
+    spaces = list(SPACES) if space == "all" else [space]
+    _report([c for c, _ in controllers], robots[0], backend, spaces, episodes, seed, json, None)
+
+
+def demo(out: Path, minutes: float = 8.0, json: Path | None = None) -> None:
+    """Build, demonstrate, train, and measure the transfer between engines: the whole path, in one folder.
+
+    Builds the paper's robot for both engines, records ten demonstrations, trains BC and BATD3 in MuJoCo, measures
+    both and the demonstrator on the same held-out targets in both engines, and draws a learning curve, the targets
+    and a video. Stopped at any point, the same command goes on from there.
+
+    Args:
+        out: the folder of everything.
+        minutes: of training, at most. With more, a demo whose training ran out of them goes on.
+        json: also write the results, each episode included, to this file.
+    """
+    from cdcsr.errors import CdcsrError
+    from cdcsr.files import write_json
+    from training.demo import Amounts, run_demo
+
+    if not minutes > 0:
+        raise CdcsrError(f"minutes must be positive, not {minutes:g}.")
+    summary = run_demo(out, Amounts(minutes))
+    if json is not None:
+        write_json(json, summary)
+
+
+def _report(
+    controllers: list[Controller],
+    robot: Robot,
+    backend: str,
+    spaces: list[str],
+    episodes: int,
+    seed: int | None,
+    json: Path | None,
+    disturbances: object,
+) -> None:
+    """Measure, print the table, and write the JSON file."""
+    from cdcsr.disturbances import Disturbances
+    from cdcsr.files import write_json
+    from cdcsr.simulation import backend_names, load_backend
+    from training.evaluation import TEST_SEED
+    from training.transfer import Cell, disagreements, format_table
+    from training.transfer import transfer as measure
+
+    backends = backend_names() if backend == "all" else [backend]
+    for name in backends:
+        load_backend(name)  # an unknown engine is an error before the work, not in the midst of it
+    assert disturbances is None or isinstance(disturbances, Disturbances)
+
+    def progress(cell: Cell) -> None:
+        print(f"{cell.controller} in {cell.backend}, {cell.space}: {cell.result.rate:.2f}", flush=True)
+
+    seed = TEST_SEED if seed is None else seed
+    cells = measure(controllers, robot, backends, spaces, episodes, seed, disturbances, progress)
+    print(f"\n{episodes} episodes in each cell, target seed {seed}\n")
+    print(format_table(cells))
+    if json is not None:
+        pairs = [pair.as_dict() for pair in disagreements(cells)]
+        write_json(json, {"seed": seed, "cells": [cell.as_dict() for cell in cells], "disagreements": pairs})
+
+
+def _set_threads() -> None:
+    import torch
+
+    torch.set_num_threads(1)
+
+
+def _trained_space(controller: Controller) -> str:
+    from training.policy import Policy
+
+    return str(controller.card["space"]) if isinstance(controller, Policy) else "anchor"
+
+
+def _controller(name: str, robot: str) -> tuple[Controller, Robot]:
+    """The controller of that name or folder, and the robot it is for."""
+    from cdcsr.robot import load_robot
+    from controllers.jacobian import JacobianController
+    from training.policy import find_policy
+
+    if name == JacobianController.name:
+        description = load_robot(robot)
+        return JacobianController(description), description
+    policy = find_policy(name)
+    return policy, policy.robot
+
+
+def bench(*, json: Path | None = None) -> None:
+    """Measure speed, each as a ratio within one process.
+
+    Needs the development dependencies (stable-baselines3).
+
+    Args:
+        json: also write the numbers to this file.
+    """
+    from backends.mujoco.bench import vector_env_speed
+    from backends.pybullet.bench import step_cost
+    from cdcsr.errors import CdcsrError
+    from cdcsr.files import write_json
+    from cdcsr.robot import load_robot
+    from training.bench import update_speed
+
+    robot = load_robot("paper")
+    results = {"vector_env": vector_env_speed(robot), "pybullet_step": step_cost(robot)}
+    try:
+        results["update"] = update_speed()
+    except ModuleNotFoundError as error:
+        raise CdcsrError(f"{error.name} is needed to compare with; install the development dependencies.") from None
+    rows = [
+        ("MuJoCo vector environment, 32 copies: steps/s over bare mujoco.batch", results["vector_env"]["ratio"]),
+        ("PyBullet: cost of a step over bare stepSimulation", results["pybullet_step"]["ratio"]),
+        ("BATD3 update (E = 5, 3 x 256, batch 256): updates/s over stable-baselines3's TD3", results["update"]["ratio"]),
+    ]
+    for what, ratio in rows:
+        print(f"{ratio:6.2f}  {what}")
+    if json is not None:
+        write_json(json, results)
