@@ -71,7 +71,7 @@ def run(function: Callable[..., Any], prog: str, argv: Sequence[str]) -> int:
             function,
             prog=prog,
             args=list(argv),
-            default=defaults(argv) if defaults else None,
+            default=defaults(argv) if defaults else tyro.MISSING,
             config=(tyro.conf.FlagCreatePairsOff,),
         )
         if defaults:

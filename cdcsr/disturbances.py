@@ -34,7 +34,8 @@ class Channel:
 
     def __init__(self, disturbances: Disturbances, rng: np.random.Generator) -> None:
         self._is = disturbances
-        self._rng = rng
+        # A stream of its own: how often it is asked must not change the targets that `rng` draws.
+        self._rng = rng.spawn(1)[0]
         self._received: Array | None = None
 
     def start(self, observation: Array, fresh: NDArray[np.bool_]) -> Array:

@@ -141,8 +141,9 @@ class MujocoOptions(Part):
     """Numbers only MuJoCo has."""
 
     integrator: Literal["implicitfast", "implicit", "Euler"] = "implicitfast"
-    impedance: Annotated[float, Field(gt=0, lt=1)] = 0.9999
-    """Constraint impedance (solimp dmin = dmax); 1 is rigid."""
+    impedance: Annotated[float, Field(gt=0, lt=1)] = 0.999
+    """Constraint impedance (solimp dmin = dmax); 1 is rigid. Too near to 1, a taut cable that shrinks by nanometres
+    counts as slack for a step, in which its slider flies free."""
 
 
 class Robot(Part):
@@ -311,11 +312,18 @@ def _cross_errors(data: Any) -> Iterator[InitErrorDetails]:
         for j in range(i + 1):
             length = number("segments", j, "link", "length")
             if length is not None and offset >= length / 2:
-                yield error(place, f"puts a guide outside its link: must be below half of segments[{j}].link.length ({length / 2:g} m)")
+                yield error(
+                    place,
+                    f"puts a guide outside its link: must be below half of segments[{j}].link.length "
+                    f"({length / 2:g} m)",
+                )
                 break
         below = number("segments", i, "servo", "offset")
         if height and below is not None and offset + below > height:
-            yield error(("segments", i, "servo", "offset"), f"puts the slider outside the base: must be at most {height - offset:g} m")
+            yield error(
+                ("segments", i, "servo", "offset"),
+                f"puts the slider outside the base: must be at most {height - offset:g} m",
+            )
 
 
 def _again(line: Any) -> InitErrorDetails:

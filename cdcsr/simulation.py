@@ -152,12 +152,15 @@ class Simulation(ABC):
             CdcsrError: there is nothing to draw with.
         """
 
+    @abstractmethod
     def close(self) -> None:
         """Release what the engine holds."""
 
     def _check_snapshot(self, snapshot: Snapshot) -> None:
         if snapshot.robot != self.robot.fingerprint:
-            raise CdcsrError(f"The snapshot is of robot {snapshot.robot}; this simulation runs {self.robot.fingerprint}.")
+            raise CdcsrError(
+                f"The snapshot is of robot {snapshot.robot}; this simulation runs {self.robot.fingerprint}."
+            )
         if len(snapshot.time) != self.num:
             raise CdcsrError(f"The snapshot holds {len(snapshot.time)} copies; this simulation has {self.num}.")
 

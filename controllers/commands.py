@@ -39,9 +39,7 @@ def demonstrate(
     if episodes < 1:
         raise CdcsrError(f"episodes must be at least 1, not {episodes}.")
     with new_folder(out, force) as folder:
-        env = ReachVectorEnv(
-            episodes, robot, backend, space, frame_skip=frame_skip, autoreset_mode="Disabled"
-        )
+        env = ReachVectorEnv(episodes, robot, backend, space, frame_skip=frame_skip, autoreset_mode="Disabled")
         controller = JacobianController(env.robot)
         recorded, failed = demonstrations.record(controller, env, episodes, seed)
         demonstrations.save(folder, recorded, env, controller.name, out.name)

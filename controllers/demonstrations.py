@@ -177,4 +177,6 @@ def load(folder: Path, robot_fingerprint: str, frame_skip: int = 1) -> list[Epis
         )
     if found[1] != frame_skip:
         raise CdcsrError(f"The demonstrations in {folder} have frame_skip {found[1]}, not {frame_skip}.")
-    return [Episode(np.asarray(e.observations), np.asarray(e.actions), np.asarray(e.observations)[0, 6:9]) for e in stored]
+    return [
+        Episode(np.asarray(e.observations), np.asarray(e.actions), np.asarray(e.observations)[0, 6:9]) for e in stored
+    ]

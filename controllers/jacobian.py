@@ -42,7 +42,7 @@ class JacobianController(Controller):
         self._servo_gain = np.array([servo.gain for servo in robot.servos])
         self._eta = np.array([servo.eta for servo in robot.servos])
 
-    def act(self, env: ReachVectorEnv, observation: Array, active: NDArray[np.bool_]) -> Array:
+    def act(self, env: ReachVectorEnv, observation: Array, active: NDArray[np.bool_]) -> Array:  # noqa: ARG002
         ids = np.flatnonzero(active)
         state = env.simulation.state()
         command = np.zeros((env.num_envs, len(self._eta)))

@@ -11,6 +11,8 @@ import torch
 from numpy.typing import NDArray
 
 from cdcsr.envs import ReachVectorEnv
+from cdcsr.simulation import Snapshot
+from cdcsr.tasks import observation_size
 from training.networks import Actor
 
 Array = NDArray[np.float64]
@@ -45,12 +47,13 @@ class Collector:
     def __init__(self, env: ReachVectorEnv, noise: float, hold: int, rng: np.random.Generator) -> None:
         self.env, self._scale, self._hold, self._rng = env, noise, hold, rng
         num, limit, cables = env.num_envs, env.max_actions, env.robot.num_cables
-        self._observations = np.zeros((num, limit + 1, env.single_observation_space.shape[0]))
+        size = observation_size(env.robot)
+        self._observations = np.zeros((num, limit + 1, size))
         self._actions = np.zeros((num, limit, cables))
         self._rewards = np.zeros((num, limit))
         self._noise = np.zeros((num, cables))
         self._count = 0
-        self._observation = np.zeros((num, self._observations.shape[2]))
+        self._observation = np.zeros((num, size))
 
     def start(self, seed: int) -> None:
         """Begin the first episodes."""
@@ -102,8 +105,6 @@ class Collector:
 
     def load_state_arrays(self, arrays: dict[str, NDArray[Any]]) -> None:
         """Go on from arrays made by :meth:`state_arrays`."""
-        from cdcsr.simulation import Snapshot
-
         env = self.env
         # Begins the channel of observations too, which has no other state when nothing is disturbed.
         env.reset(options={"targets": arrays["targets"]})

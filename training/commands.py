@@ -187,7 +187,10 @@ def bench(*, json: Path | None = None) -> None:
     rows = [
         ("MuJoCo vector environment, 32 copies: steps/s over bare mujoco.batch", results["vector_env"]["ratio"]),
         ("PyBullet: cost of a step over bare stepSimulation", results["pybullet_step"]["ratio"]),
-        ("BATD3 update (E = 5, 3 x 256, batch 256): updates/s over stable-baselines3's TD3", results["update"]["ratio"]),
+        (
+            "BATD3 update (E = 5, 3 x 256, batch 256): updates/s over stable-baselines3's TD3",
+            results["update"]["ratio"],
+        ),
     ]
     for what, ratio in rows:
         print(f"{ratio:6.2f}  {what}")

@@ -49,6 +49,8 @@ class Learner:
     are nearly on and off; without it, a cable that is off early on may never get a gradient again."""
     policy_delay: int = 2
     """Updates of the critics to one of the actor."""
+    averaged_policy: bool = False
+    """The policy that is measured and kept is the target actor, a running average of the actor, which wanders less."""
     num_envs: int = 1
     """Environments stepped once for every update."""
     exploration_noise: float = 0.1
@@ -77,10 +79,11 @@ PRESETS: dict[PresetName, Learner] = {
         critics=2,
         clip_targets=True,
         saturation_penalty=0.01,
+        averaged_policy=True,
         num_envs=64,
         exploration_noise=0.2,
         noise_hold=10,
-        updates=15_000,
+        updates=12_000,
         bc_updates=3_000,
         bc_learning_rate=1e-3,
     ),

@@ -168,7 +168,7 @@ def _train(stages: Stages, amounts: Amounts) -> None:
         if left > 0 and not (folder / "summary.json").exists():
             train(replace(config, stop_after=left))
         if not (folder / "summary.json").exists():
-            print(f"    The {amounts.minutes:g} minutes are used up; with more, `--minutes`, training goes on.")
+            print("    The time for training is used up; a larger --minutes trains this policy further.")
 
     inputs = {**config.identity(), "minutes": amounts.minutes}
     stages.run("BC and BATD3 in MuJoCo", inputs, [f"{RUN}/policy.json", f"{RUN}/clone/policy.json"], work)

@@ -7,7 +7,7 @@ from pathlib import Path
 
 from torch.utils.tensorboard import SummaryWriter
 
-COLUMNS = (
+COLUMNS: tuple[str, ...] = (
     "update",
     "environment_steps",
     "minutes",

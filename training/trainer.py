@@ -18,6 +18,7 @@ from cdcsr.envs import ReachVectorEnv
 from cdcsr.errors import CdcsrError
 from cdcsr.files import write_json
 from cdcsr.robot import Robot, load_robot
+from cdcsr.tasks import observation_size
 from controllers import demonstrations
 from controllers.demonstrations import Episode
 from controllers.jacobian import JacobianController
@@ -170,7 +171,7 @@ class Run:
         streams = np.random.default_rng(config.seed).spawn(2)
         collector = Collector(env, learner.exploration_noise, learner.noise_hold, streams[0])
         replay = Replay(
-            learner.capacity, env.single_observation_space.shape[0], self.robot.num_cables,
+            learner.capacity, observation_size(self.robot), self.robot.num_cables,
             learner.discount, learner.return_steps,
         )  # fmt: skip
         state_path = self.folder / "state.safetensors"
@@ -185,7 +186,7 @@ class Run:
         self.minutes_before = counters["minutes"]
         recent = deque((bool(x) for x in counters["recent"]), maxlen=200)
         metrics = Metrics(self.folder, counters["update"])
-        first, meter = counters["update"] + 1, _Meter()
+        first, meter, stopped = counters["update"] + 1, _Meter(), False
         with tqdm(total=learner.updates, initial=first - 1, desc=config.algorithm, unit="update") as bar:
             for update in range(first, learner.updates + 1):
                 for episode in collector.step(algorithm.actor):
@@ -199,32 +200,32 @@ class Run:
                 bar.update(update - bar.n)
                 if update % 50 == 0:
                     bar.set_postfix(success=f"{np.mean(recent):.2f}" if recent else "-", refresh=False)
-                last = update == learner.updates
-                overdue = config.stop_after is not None and self._minutes() - self.minutes_before > config.stop_after
-                if last or overdue or (config.evaluate_every and update % config.evaluate_every == 0):
+                done = update == learner.updates
+                stopped = not done and self._out_of_time()
+                if done or stopped or (config.evaluate_every and update % config.evaluate_every == 0):
                     counters = {
                         "update": update,
                         "environment_steps": update * learner.num_envs,
                         "minutes": self._minutes(),
                         "recent": [int(x) for x in recent],
                     }
-                    policy = self._policy(algorithm.actor, config.algorithm)
-                    metrics.add(self._measure(policy, counters, recent, meter))
-                    policy.save(self.folder)
-                    if not last:
+                    metrics.add(self._measure(algorithm.policy, counters, recent, meter))
+                    if not done:
                         save_state(state_path, *everything, counters)
-                if overdue and not last:
-                    metrics.close()
-                    env.close()
-                    print(f"Stopped after update {update}; the same command goes on from here.")
-                    return policy
+                if stopped:
+                    break
         metrics.close()
         env.close()
+        if stopped:
+            print(f"Stopped after update {counters['update']}; the same options go on from here.")
+            return load_policy(self.folder)
         state_path.unlink(missing_ok=True)
-        return self._finish(algorithm.actor, learner.updates, learner.updates * learner.num_envs)
+        return self._finish(algorithm.policy, learner.updates, learner.updates * learner.num_envs)
 
-    def _measure(self, policy: Policy, counters: dict[str, Any], recent: deque[bool], meter: _Meter) -> dict[str, float]:
-        """One row of metrics, with the success rate on validation targets."""
+    def _measure(self, actor: Actor, counters: dict[str, Any], recent: deque[bool], meter: _Meter) -> dict[str, float]:
+        """Save the policy as it is now; one row of metrics, with its success rate on validation targets."""
+        policy = self._policy(actor, self.config.algorithm)
+        policy.save(self.folder)
         summary = self._evaluate(policy).summary()
         row = {name: summary[name] for name in ("success_rate", "success_low", "success_high", "length_mean")}
         row |= {name: counters[name] for name in ("update", "environment_steps", "minutes")}
@@ -275,6 +276,10 @@ class Run:
             policy, self.robot, config.backend, config.space, config.evaluate_episodes,
             seed=VALIDATION_SEED, centers=self.centers, frame_skip=config.frame_skip,
         )  # fmt: skip
+
+    def _out_of_time(self) -> bool:
+        limit = self.config.stop_after
+        return limit is not None and self._minutes() - self.minutes_before > limit
 
     def _minutes(self) -> float:
         return self.minutes_before + (time.monotonic() - self.started) / 60

@@ -134,7 +134,6 @@ class MujocoSimulation(Simulation):
         turn = rotation_matrix(self._qpos[chosen, 3:7])
         velocity[:, 3:6] = np.einsum("nij,nj->ni", turn, velocity[:, 3:6])
         bias[:, 3:6] = np.einsum("nij,nj->ni", turn, bias[:, 3:6])
-        passive[:, 3:6] = np.einsum("nij,nj->ni", turn, passive[:, 3:6])
         mass[:, 3:6, :] = turn @ mass[:, 3:6, :]
         mass[:, :, 3:6] = mass[:, :, 3:6] @ turn.swapaxes(1, 2)
         tip[:, :, 3:6] = tip[:, :, 3:6] @ turn.swapaxes(1, 2)

@@ -14,7 +14,8 @@ from cdcsr import cli
 from cdcsr.errors import CdcsrError
 
 SCRIPT = str(Path(sys.executable).with_name("cdcsr"))
-HEAVY = ("numpy", "pydantic", "scipy", "torch", "trimesh", "tyro", "mujoco", "pybullet")
+HEAVY = ("pydantic", "scipy", "torch", "trimesh", "tyro", "numba", "matplotlib", "minari", "mujoco", "pybullet")
+"""Gymnasium, and NumPy with it, is not in the list: importing `cdcsr` registers the environments."""
 
 
 def double(number: int, /, *, quiet: bool = False) -> None:

@@ -87,6 +87,7 @@ def test_base_noise_has_its_deviation_and_touches_only_the_base_position() -> No
     # Means of three columns over NUM x STEPS draws, and the noise of the start alone.
     assert np.abs(noise.mean(axis=(0, 1))).max() < 4 * 0.02 / np.sqrt(NUM * STEPS)
     assert stats.kstest(noise.ravel(), "norm", args=(0, 0.02)).pvalue > 1e-4
+    assert np.abs(np.corrcoef(noise.reshape(-1, 3).T) - np.eye(3)).max() < 4 / np.sqrt(NUM * STEPS)
     assert noise[0].std() == pytest.approx(0.02, rel=0.1)
 
 

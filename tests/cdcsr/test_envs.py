@@ -79,22 +79,22 @@ def test_the_same_seed_gives_the_same_episodes(backend: str) -> None:
 
 
 @both
-@pytest.mark.parametrize(("reward", "success", "failure"), [("sparse", 1.0, 0.0), ("dense", 1 - 0.02, -0.04)])
+@pytest.mark.parametrize(("reward", "success", "failure"), [("sparse", 1.0, 0.0), ("dense", 1 - 0.0299, -0.0301)])
 def test_success_is_within_the_threshold_of_the_tip(backend: str, reward: str, success: float, failure: float) -> None:
-    """An idle robot's tip stays where it is: 0.02 m from the target is success, 0.04 m is not."""
+    """An idle robot's tip stays where it is: 0.0299 m from the target is success, 0.0301 m is not."""
     env = gymnasium.make("cdcsr/Reach-v0", backend=backend, reward=reward)
-    _, info = env.reset(options={"target": [0.02, 0, 2.7]})
-    assert info == {"is_success": True, "distance": pytest.approx(0.02)}
+    _, info = env.reset(options={"target": [0.0299, 0, 2.7]})
+    assert info == {"is_success": True, "distance": pytest.approx(0.0299)}
     observation, given, terminated, truncated, info = env.step(IDLE)
     assert (terminated, truncated) == (True, False)
     assert given == pytest.approx(success)
-    assert info == {"is_success": True, "distance": pytest.approx(0.02)}
-    np.testing.assert_allclose(observation[:10], [*TIP, 0, 0, 0, 0.02, 0, 2.7, 0.02], atol=1e-9)
-    _, info = env.reset(options={"target": [0, 0.04, 2.7]})
+    assert info == {"is_success": True, "distance": pytest.approx(0.0299)}
+    np.testing.assert_allclose(observation[:10], [*TIP, 0, 0, 0, 0.0299, 0, 2.7, 0.0299], atol=1e-9)
+    _, info = env.reset(options={"target": [0, 0.0301, 2.7]})
     _, given, terminated, truncated, info = env.step(IDLE)
     assert (terminated, truncated) == (False, False)
     assert given == pytest.approx(failure)
-    assert info == {"is_success": False, "distance": pytest.approx(0.04)}
+    assert info == {"is_success": False, "distance": pytest.approx(0.0301)}
     env.close()
 
 
@@ -210,10 +210,12 @@ def test_a_finished_episode_gives_way_to_the_next_in_the_same_step(vector: Vecto
     np.testing.assert_array_equal(truncated, ~third)
     assert not terminated.any()
     np.testing.assert_array_equal(info["_final_obs"], ~third)
+    np.testing.assert_array_equal(info["_final_info"], ~third)
     assert (info["final_obs"][:, 23] < 0).all()  # where the pulled slider was
     np.testing.assert_array_equal(observation[:, 23] < 0, third)
-    _, _, terminated, truncated, _ = vector.step(idle)
+    _, _, _, truncated, info = vector.step(idle)
     np.testing.assert_array_equal(truncated, third)
+    assert info["final_obs"][3, 23] < 0  # no other copy's end has moved this one
 
 
 def test_infos_can_be_told_apart_by_gymnasium(vector: VectorEnv) -> None:
@@ -241,8 +243,9 @@ def test_without_autoreset_episodes_go_on_until_told() -> None:
     assert (after[1, 23:] == 0).all()
     assert after[1, 6:9].tolist() != [0, 1, 1]
     np.testing.assert_allclose(info["distance"], after[:, 9])
-    _, _, _, truncated, _ = env.step(pull)
+    after, _, _, truncated, _ = env.step(pull)
     np.testing.assert_array_equal(truncated, ~mask)
+    assert (after[~mask, 23] < after[mask, 23]).all()  # the others were pulled for three steps
     env.close()
 
 
@@ -258,6 +261,17 @@ def test_disturbances_act_between_policy_and_robot() -> None:
     assert (travel != 0).all()
     assert (travel[0] != travel[1]).all()
     env.close()
+
+
+def test_the_seed_decides_the_disturbances_too() -> None:
+    env = ReachVectorEnv(3, disturbances=Disturbances(action_noise=0.5, base_noise=0.1, packet_loss=0.3))
+    runs = []
+    for seed in (4, 4, 5):
+        first, _ = env.reset(seed=seed)
+        runs.append([first, *(env.step(np.full((3, 8), -1.0))[0] for _ in range(10))])
+    env.close()
+    np.testing.assert_array_equal(runs[0], runs[1])
+    assert (runs[0][0][:, 10:13] != runs[2][0][:, 10:13]).all()
 
 
 # --- mistakes ----------------------------------------------------------------------------------------------------

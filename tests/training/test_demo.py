@@ -13,10 +13,9 @@ import pytest
 
 from cdcsr.cli import main
 from cdcsr.errors import CdcsrError
-from training import demo, trainer, video
-from training.config import PRESETS
+from training import demo, video
+from training.config import PRESETS, Train
 from training.demo import Amounts, Stages, run_demo
-from training.evaluation import evaluate
 
 FILES = ["a.txt"]
 
@@ -34,7 +33,7 @@ class Killed(BaseException):
 
 def test_demo_goes_on_where_it_was_stopped(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(video, "FRAME_PERIOD", 0.3)
-    monkeypatch.setattr(trainer, "evaluate", partial(evaluate, episodes=2))
+    monkeypatch.setattr(demo, "Train", partial(Train, evaluate_episodes=2))
     out, calls = tmp_path / "demo", []
     parts = ("build_model", "demonstrate", "train", "transfer", "learning_curve", "targets_picture", "policy_video")
     killed_in = "transfer"

@@ -53,7 +53,7 @@ def test_samples_belong_together_while_the_ring_turns() -> None:
         np.testing.assert_allclose(batch.action[:, 0], batch.observation[:, 0] / 10, rtol=1e-6)
         np.testing.assert_allclose(batch.next_bc_action[:, 0], following / 100, rtol=1e-6)
     assert replay.size == 23
-    assert {int(m) for m in batch.observation[:, 0]} <= set(range(20, 30))
+    assert {int(m) for m in replay.rows["observation"][:, 0]} <= set(range(20, 30))
 
 
 def test_every_transition_is_drawn_alike() -> None:

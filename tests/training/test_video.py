@@ -12,7 +12,7 @@ import pytest
 from numpy.typing import NDArray
 from PIL import Image, ImageSequence
 
-from backends.pybullet.render import BACKGROUND
+from backends.pybullet.render import BACKGROUND, TARGET_RADIUS, Renderer
 from cdcsr.robot import load_robot
 from controllers.jacobian import JacobianController
 from training import video
@@ -72,3 +72,15 @@ def test_video_shows_a_moving_robot_in_each_half(
         assert animation.size == (video.WIDTH, (video.CAPTION + video.HEIGHT) // 2)
         duration = sum(frame.info["duration"] for frame in ImageSequence.Iterator(animation))
     assert duration == pytest.approx(1000 * expected / video.FRAMES_PER_SECOND, rel=0.1)
+
+
+def test_focus_puts_a_point_in_the_middle_at_the_scale_asked_for(recordings: list[video.Recording]) -> None:
+    renderer = Renderer(ROBOT)
+    target, span, pixels = np.array((0.5, -0.4, 1.0)), 0.36, 120
+    picture = renderer.draw(recordings[0].position[0, 0], targets=target, size=(pixels, pixels), focus=(target, span))
+    renderer.close()
+    ball = picture[..., 0] > 2 * picture[..., 1:].max(axis=2).astype(int)  # the only red thing
+    rows, columns = np.nonzero(ball)
+    assert abs(rows.mean() - pixels / 2) < 2
+    assert abs(columns.mean() - pixels / 2) < 2
+    assert ball.sum() == pytest.approx(np.pi * (TARGET_RADIUS * pixels / span) ** 2, rel=0.2)

@@ -50,6 +50,11 @@ class TD3:
         self.updates = 0
         self._generator = generator
 
+    @property
+    def policy(self) -> Actor:
+        """The network that is measured and kept; exploration is always the actor's own."""
+        return self.target_actor if self.learner.averaged_policy else self.actor
+
     def update(self, batch: Batch) -> dict[str, Tensor]:
         """One update of the critics, and of the actor when its turn comes.
 
@@ -72,7 +77,7 @@ class TD3:
             metrics["actor_loss"] = self._update_actor(encoded)
         return metrics
 
-    def next_value(self, encoded: Tensor, batch: Batch) -> Tensor:
+    def next_value(self, encoded: Tensor, batch: Batch) -> Tensor:  # noqa: ARG002 (for variants)
         """Value to bootstrap from at the end of each transition, shape (B,): TD3's smoothed target policy."""
         return self.target_value(encoded, self.smoothed_target_action(encoded))
 
