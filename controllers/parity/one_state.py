@@ -141,5 +141,9 @@ def _worst(
     """The check of the largest difference, shape (n, ...), with the names of its place along the other axes."""
     size = np.where(np.isnan(difference), np.inf, np.abs(difference))
     _, *place = np.unravel_index(int(size.argmax()), size.shape)
-    where = "" if not size.any() else ", ".join(dict.fromkeys(labels[int(i)] for labels, i in zip(axes, place, strict=True)))
+    where = (
+        ""
+        if not size.any()
+        else ", ".join(dict.fromkeys(labels[int(i)] for labels, i in zip(axes, place, strict=True)))
+    )
     return Check(1, name, pair, float(size.max()), tolerance, unit, where)

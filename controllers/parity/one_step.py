@@ -23,17 +23,20 @@ class Quantity:
 
     name: str
     unit: str
-    tolerance: float
-    """Of the 95th percentile of the difference, as a part of the quantity's own 95th percentile."""
     read: Callable[[State], Array]
     """(N, k), of which the norm of the difference is taken."""
+    tolerances: dict[int, float]
+    """By percentile of the difference, as a part of the quantity's own 95th percentile."""
 
 
+_TYPICAL, _RARE = 0.01, 0.1
 QUANTITIES = (
-    Quantity("tip velocity", "m/s", 0.02, lambda state: state.tip_velocity),
-    Quantity("base velocity", "m/s", 0.02, lambda state: state.base_velocity),
-    Quantity("base angular velocity", "rad/s", 0.02, lambda state: state.base_angular_velocity),
-    Quantity("tension", "N", 0.02, lambda state: state.cable_tension),
+    Quantity("tip velocity", "m/s", lambda state: state.tip_velocity, {50: _TYPICAL, 95: _RARE}),
+    Quantity("base velocity", "m/s", lambda state: state.base_velocity, {50: _TYPICAL, 95: _RARE}),
+    Quantity("base angular velocity", "rad/s", lambda state: state.base_angular_velocity, {50: _TYPICAL, 95: _RARE}),
+    # A cable that becomes taut within a step pulls in one engine at once and in another in the next step. So the
+    # largest differences of tension are as large as tensions, and only how often that is depends on the commands.
+    Quantity("tension", "N", lambda state: state.cable_tension, {50: _TYPICAL}),
 )
 
 
@@ -49,15 +52,15 @@ class OneStep:
     """(M,) norm of the quantity itself in the reference engine."""
 
     def checks(self) -> list[Check]:
-        """One for each quantity."""
-        return [
-            Check(
-                2, q.name, f"{self.pair}, {self.commands} commands, 95 %",
-                float(np.percentile(self.differences[q.name], 95)),
-                q.tolerance * float(np.percentile(self.sizes[q.name], 95)), q.unit,
-            )
-            for q in QUANTITIES
-        ]  # fmt: skip
+        """One for each quantity and percentile that has a tolerance."""
+        checks = []
+        for q in QUANTITIES:
+            size = float(np.percentile(self.sizes[q.name], 95))
+            for percentile, tolerance in q.tolerances.items():
+                value = float(np.percentile(self.differences[q.name], percentile))
+                name = f"{q.name}, {'median' if percentile == 50 else f'{percentile} %'}"
+                checks.append(Check(2, name, f"{self.pair}, {self.commands}", value, tolerance * size, q.unit))
+        return checks
 
     def as_dict(self) -> dict[str, Any]:
         """The distributions as plain data."""

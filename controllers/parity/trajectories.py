@@ -14,6 +14,7 @@ from controllers.jacobian import JacobianController
 
 Array = NDArray[np.float64]
 
+DEMONSTRATOR, RANDOM = "demonstrator", "random"
 _HOLD = 10
 """Steps a random command is held for; changed at every step, the servos' average is all that the arm would feel."""
 
@@ -43,7 +44,7 @@ def demonstrator_commands(robot: Robot, backend: str, episodes: int, seed: int) 
     observation, _ = env.reset(seed=seed)
     run = rollout(JacobianController(robot), env, observation)
     env.close()
-    return Commands("demonstrator", run.actions, run.length)
+    return Commands(DEMONSTRATOR, run.actions, run.length)
 
 
 def random_commands(robot: Robot, episodes: int, seed: int, steps: int = EPISODE_STEPS) -> Commands:
@@ -51,4 +52,4 @@ def random_commands(robot: Robot, episodes: int, seed: int, steps: int = EPISODE
     eta = np.array([servo.eta for servo in robot.servos])
     draws = -eta * np.random.default_rng(seed).random((episodes, -(-steps // _HOLD), robot.num_cables))
     values = np.repeat(draws, _HOLD, axis=1)[:, :steps]
-    return Commands("random", values, np.full(episodes, steps))
+    return Commands(RANDOM, values, np.full(episodes, steps))
