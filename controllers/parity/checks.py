@@ -44,9 +44,10 @@ class Check:
     def __str__(self) -> str:
         bound = "at least" if self.at_least else "at most"
         place = f", worst at {self.where}" if self.where else ""
+        unit = f" {self.unit}" if self.unit else ""
         return (
-            f"level {self.level}, {self.name}, {self.pair}: {self.value:.2g} {self.unit} "
-            f"({bound} {self.tolerance:g} {self.unit}{place})"
+            f"level {self.level}, {self.name}, {self.pair}: {self.value:.2g}{unit} "
+            f"({bound} {self.tolerance:.3g}{unit}{place})"
         )
 
     def as_dict(self) -> dict[str, Any]:

@@ -14,7 +14,7 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import FixedLocator, FuncFormatter, NullLocator, PercentFormatter
 
 from cdcsr.files import write_bytes
-from controllers.parity.one_step import QUANTITIES, OneStep
+from controllers.parity.one_step import QUANTITIES
 from controllers.parity.open_loop import DISTANCE, OpenLoop
 from controllers.parity.study import Parity
 from controllers.parity.trajectories import DEMONSTRATOR
@@ -52,7 +52,7 @@ def draw(parity: Parity, folder: Path) -> list[Path]:
     paths = []
     for name, paint in figures.items():
         with matplotlib.rc_context(_STYLE):
-            figure = Figure(figsize=(9.0, 5.6 if name == "one-step" else 3.9), layout="constrained")
+            figure = Figure(figsize=(9.4, 5.8 if name == "one-step" else 4.2), layout="constrained")
             paint(figure, parity)
             data = io.BytesIO()
             figure.savefig(data, format="png", dpi=150)
@@ -80,13 +80,12 @@ def _one_step(figure: Figure, parity: Parity) -> None:
         axes.yaxis.set_major_formatter(PercentFormatter(1))
     for axes in panels[::2]:
         axes.set_ylabel("states below")
-    handles, labels = panels[0].get_legend_handles_labels()
-    figure.legend(handles, labels, loc="outside lower center", ncols=min(3, len(labels)))
+    _legend_below(figure, panels[0])
 
 
 def _convergence(figure: Figure, parity: Parity) -> None:
     """Distance from the common limit against the time step, a panel for each kind of commands."""
-    figure.suptitle(f"{parity.robot.name}: both engines come to one limit as the time step shrinks", fontsize=11)
+    figure.suptitle(f"{parity.robot.name}: distance from the common limit as the time step shrinks", fontsize=11)
     panels = _panels(figure, parity.open_loop)
     for axes, part in zip(panels, parity.open_loop, strict=True):
         steps = 1e3 * part.time_steps
@@ -96,7 +95,7 @@ def _convergence(figure: Figure, parity: Parity) -> None:
             axes.plot(
                 steps, 1e3 * part.errors(engine), _MARKERS[i] + "-", color=_COLORS[i], markersize=size,
                 markerfacecolor=face, linewidth=2.4 if i == 0 else 1.2,
-                label=f"{engine}, from the limit (order {part.order(engine):.2f})",
+                label=f"{engine} from the limit",
             )  # fmt: skip
         for i, engine in enumerate(list(part.tips)[1:], start=1):
             apart = 1e3 * np.maximum(part.mean_distance(engine), _SMALLEST)
@@ -109,14 +108,17 @@ def _convergence(figure: Figure, parity: Parity) -> None:
         axes.xaxis.set_minor_locator(NullLocator())
         axes.xaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
         axes.set_xlabel("time step [ms]")
-        axes.set_title(f"{part.commands} commands")
-        axes.legend(loc="center left", bbox_to_anchor=(0.0, 0.52), fontsize=8)
+        orders = ", ".join(f"{engine} {part.order(engine):.2f}" for engine in part.tips)
+        axes.set_title(f"{part.commands} commands; order: {orders}")
     panels[0].set_ylabel("tip distance, mean over time [mm]")
+    _legend_below(figure, panels[0])
 
 
 def _open_loop(figure: Figure, parity: Parity) -> None:
     """Distance between the engines over time at the default time step, beside the noise floor."""
-    figure.suptitle(f"{parity.robot.name}: the same commands without feedback, default time step", fontsize=11)
+    figure.suptitle(
+        f"{parity.robot.name}: the same commands without feedback; median and range of the episodes", fontsize=11
+    )
     panels = _panels(figure, parity.open_loop)
     for axes, part in zip(panels, parity.open_loop, strict=True):
         for i, engine in enumerate(list(part.tips)[1:], start=1):
@@ -127,8 +129,8 @@ def _open_loop(figure: Figure, parity: Parity) -> None:
         axes.set_xlabel("time [s]")
         axes.set_title(f"{part.commands} commands")
         axes.set_xlim(0, part.time[-1])
-        axes.legend(loc="lower right", fontsize=8)
     panels[0].set_ylabel("distance of the tips [mm]")
+    _legend_below(figure, panels[0])
 
 
 def _band(axes: Axes, part: OpenLoop, distance: np.ndarray, color: str, label: str) -> None:
@@ -141,7 +143,13 @@ def _band(axes: Axes, part: OpenLoop, distance: np.ndarray, color: str, label: s
     axes.plot(time, np.nanmedian(values, axis=1), color=color, linewidth=1.6, label=label)
 
 
-def _panels(figure: Figure, parts: Sequence[OpenLoop | OneStep]) -> list[Axes]:
+def _legend_below(figure: Figure, axes: Axes) -> None:
+    """One legend for all panels."""
+    handles, labels = axes.get_legend_handles_labels()
+    figure.legend(handles, labels, loc="outside lower center", ncols=min(4, len(labels)), fontsize=8.5)
+
+
+def _panels(figure: Figure, parts: Sequence[OpenLoop]) -> list[Axes]:
     panels = list(figure.subplots(1, len(parts), sharey=True, squeeze=False)[0])
     for axes in panels:
         axes.set_yscale("log")

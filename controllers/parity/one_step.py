@@ -88,7 +88,7 @@ def states_along(robot: Robot, engines: Engines, commands: Commands) -> list[Sna
 
 
 def one_step(
-    robot: Robot, engines: Engines, commands: Commands, progress: Callable[[int], None] | None = None
+    robot: Robot, engines: Engines, commands: Commands, progress: Callable[[int], object] | None = None
 ) -> list[OneStep]:
     """Step every engine from the same states under the same commands; the others are compared with the reference.
 

@@ -122,7 +122,7 @@ def refined(robot: Robot, parts: int) -> Robot:
 
 
 def open_loop(
-    robot: Robot, engines: Engines, commands: Commands, progress: Callable[[int], None] | None = None
+    robot: Robot, engines: Engines, commands: Commands, progress: Callable[[int], object] | None = None
 ) -> OpenLoop:
     """Run all engines under the same commands at every refinement.
 

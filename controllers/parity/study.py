@@ -115,9 +115,8 @@ def _line(check: Check) -> str:
     mark = "ok  " if check.passed else "FAIL"
     bound = "at least" if check.at_least else "at most"
     place = f"  at {check.where}" if check.where and not check.passed else ""
-    return (
-        f"{mark} {check.name:<26}{check.pair:<28}{check.value:>9.1e} {check.unit:<9}({bound} {check.tolerance:g}){place}"
-    )
+    measured = f"{check.value:>9.1e} {check.unit:<9}({bound} {check.tolerance:.3g})"
+    return f"{mark} {check.name:<26}{check.pair:<28}{measured}{place}"
 
 
 def _work(commands: Commands, engines: Engines) -> int:
