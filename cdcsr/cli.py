@@ -24,7 +24,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         argv: the arguments after `cdcsr`; by default those of this process.
 
     Returns:
-        The exit code: 0, or 2 for an error of the user's, or 130 if interrupted.
+        The exit code: 0, or 1 if a check did not hold, or 2 for an error of the user's, or 130 if interrupted.
     """
     arguments = list(sys.argv[1:] if argv is None else argv)
     commands = {point.name: point for point in entry_points(group=_GROUP)}
@@ -77,7 +77,7 @@ def run(function: Callable[..., Any], prog: str, argv: Sequence[str]) -> int:
         if defaults:
             result.run()
     except CdcsrError as error:
-        return _fail(str(error))
+        return _fail(str(error), error.exit_code)
     except KeyboardInterrupt:
         print("cdcsr: interrupted", file=sys.stderr)
         return 130
@@ -114,6 +114,6 @@ def _reason(error: Exception) -> str:
     return f"{type(error).__name__}: {error}".rstrip(".")
 
 
-def _fail(message: str) -> int:
+def _fail(message: str, code: int = 2) -> int:
     print(f"cdcsr: error: {message}", file=sys.stderr)
-    return 2
+    return code

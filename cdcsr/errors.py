@@ -1,4 +1,4 @@
-"""Errors a user can cause. Each prints as one line and ends a command with exit code 2."""
+"""Errors a user can cause. Each prints as one line and ends a command with its exit code."""
 
 from __future__ import annotations
 
@@ -8,6 +8,15 @@ from collections.abc import Iterable
 
 class CdcsrError(Exception):
     """Something in what the user gave is wrong; the message says what, what is allowed, and what to do."""
+
+    exit_code = 2
+    """What a command that ends with it exits with."""
+
+
+class CheckFailed(CdcsrError):
+    """The command did its work, and what it was to check does not hold: exit code 1, as tests have it."""
+
+    exit_code = 1
 
 
 class Diverged(CdcsrError, FloatingPointError):

@@ -70,6 +70,8 @@ class Dynamics:
     """(n, C, nv) rate of cable length."""
     velocity: Array
     """(n, nv)."""
+    cable_length: Array
+    """(n, C) [m], from slider to anchor."""
 
 
 @dataclass(frozen=True)
@@ -143,6 +145,13 @@ class Simulation(ABC):
     @abstractmethod
     def dynamics(self, ids: Ids = None) -> Dynamics:
         """The equation of motion of some copies, from this engine's own model."""
+
+    def step_dynamics(self, ids: Ids = None) -> Dynamics | None:  # noqa: ARG002
+        """The equation of motion as `step` evaluates it, or None if that is the same code as `dynamics`.
+
+        An engine that steps with an evaluation of its own must show it here, so that parity is measured on it too.
+        """
+        return None
 
     @abstractmethod
     def render(self, index: int = 0, camera: str = "side") -> NDArray[np.uint8]:

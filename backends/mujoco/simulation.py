@@ -120,6 +120,7 @@ class MujocoSimulation(Simulation):
         mass, tip = np.zeros((len(chosen), nv, nv)), np.zeros((len(chosen), 3, nv))
         bias, passive = np.zeros((2, len(chosen), nv))
         cables, velocity = np.zeros((len(chosen), num_cables, nv)), np.zeros((len(chosen), nv))
+        length = np.zeros((len(chosen), num_cables))
         tip_site = model.site("tip").id
         for i, copy in enumerate(chosen):
             data.qpos, data.qvel = self._qpos[copy], self._qvel[copy]
@@ -128,7 +129,7 @@ class MujocoSimulation(Simulation):
             mujoco.mj_fullM(model, data, mass[i])
             mujoco.mj_jacSite(model, data, tip[i], None, tip_site)
             bias[i], passive[i], velocity[i] = data.qfrc_bias, data.qfrc_passive, data.qvel
-            cables[i] = _dense_tendon_jacobian(model, data)
+            cables[i], length[i] = _dense_tendon_jacobian(model, data), data.ten_length
         # MuJoCo's base angular velocity is in the base frame: v_body = R^T v_world. The rate of R^T does not
         # matter to the bias, because a body's own rotation leaves its angular velocity vector unchanged.
         turn = rotation_matrix(self._qpos[chosen, 3:7])
@@ -137,7 +138,7 @@ class MujocoSimulation(Simulation):
         mass[:, 3:6, :] = turn @ mass[:, 3:6, :]
         mass[:, :, 3:6] = mass[:, :, 3:6] @ turn.swapaxes(1, 2)
         tip[:, :, 3:6] = tip[:, :, 3:6] @ turn.swapaxes(1, 2)
-        return Dynamics(mass, bias, passive, tip, cables, velocity)
+        return Dynamics(mass, bias, passive, tip, cables, velocity, length)
 
     def render(self, index: int = 0, camera: str = "side") -> NDArray[np.uint8]:
         azimuth, elevation = CAMERAS[camera]

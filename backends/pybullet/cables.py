@@ -76,7 +76,7 @@ def rig(robot: Robot) -> Rig:
 
 
 @numba.njit(cache=True)
-def _cable_rows(rig: Rig, travel: Array, sine: Array, cosine: Array, by_slider: Array, by_hinge: Array) -> Array:
+def cable_rows(rig: Rig, travel: Array, sine: Array, cosine: Array, by_slider: Array, by_hinge: Array) -> Array:
     """Gap of every cable, shape (C,); fills the derivatives of the lengths, shapes (C,) and (C, 2 J)."""
     gap = np.empty(travel.size)
     for c in range(travel.size):
@@ -145,7 +145,7 @@ def _joint_forces(chain: Chain, rig: Rig, position: Array, velocity: Array, comm
             whole[size, num_hinges + r] -= share * load[6 + c]
     by_slider = np.empty(num_cables)
     by_hinge = np.zeros((num_cables, num_hinges))
-    gap = _cable_rows(rig, travel, frames.sine, frames.cosine, by_slider, by_hinge)
+    gap = cable_rows(rig, travel, frames.sine, frames.cosine, by_slider, by_hinge)
     for c in range(num_cables):
         whole[size + 1 + c, :num_hinges] = by_hinge[c]
         for r in range(6):

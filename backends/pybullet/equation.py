@@ -13,7 +13,7 @@ import pybullet
 from numpy.typing import NDArray
 
 from backends.pybullet.loading import connect, load_robot_body
-from cdcsr.cables import cable_jacobian, routing
+from cdcsr.cables import cable_jacobian, cable_lengths, routing
 from cdcsr.robot import Robot
 from cdcsr.simulation import Dynamics, rotation_matrix
 
@@ -51,8 +51,10 @@ class Equation:
         passive = np.zeros_like(velocity)
         passive[:, 6:] = -self._stiffness * joints - self._damping * rates
         cable = np.zeros((len(position), self._num_cables, velocity.shape[1]))
-        cable[..., 6:] = cable_jacobian(self._route, joints[:, : self._num_cables], joints[:, self._num_cables :])
-        return Dynamics(mass, bias, passive, tip, cable, velocity.copy())
+        travel, hinges = joints[:, : self._num_cables], joints[:, self._num_cables :]
+        cable[..., 6:] = cable_jacobian(self._route, travel, hinges)
+        length = cable_lengths(self._route, travel, hinges)
+        return Dynamics(mass, bias, passive, tip, cable, velocity.copy(), length)
 
     def close(self) -> None:
         """Release the client; closing twice does nothing."""

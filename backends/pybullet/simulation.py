@@ -9,11 +9,14 @@ from typing import ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
+from backends.pybullet.cables import rig
 from backends.pybullet.dynamics import chain, tip_states
 from backends.pybullet.equation import Equation
+from backends.pybullet.kernel import kernel_dynamics
 from backends.pybullet.render import Renderer
 from backends.pybullet.workers import Pool
 from backends.pybullet.world import World
+from cdcsr.cables import routing
 from cdcsr.errors import CdcsrError, Diverged
 from cdcsr.robot import Robot
 from cdcsr.simulation import Array, Capability, Dynamics, Ids, Simulation, Snapshot, State
@@ -47,7 +50,7 @@ class PybulletSimulation(Simulation):
         if not 0 <= workers <= num:
             raise CdcsrError(f"{num} copies can be shared by 0 to {num} worker processes, not {workers}.")
         self._world = Pool(robot, num, workers) if workers else World(robot, num)
-        self._chain = chain(robot)
+        self._chain, self._rig, self._rest_length = chain(robot), rig(robot), routing(robot).rest_length
 
     def reset(self, ids: Ids = None) -> None:
         every = np.arange(self.num)
@@ -99,6 +102,11 @@ class PybulletSimulation(Simulation):
     def dynamics(self, ids: Ids = None) -> Dynamics:
         chosen = slice(None) if ids is None else np.asarray(ids, dtype=int)
         return self._equation(self._world.position[chosen], self._world.velocity[chosen])
+
+    def step_dynamics(self, ids: Ids = None) -> Dynamics:
+        chosen = slice(None) if ids is None else np.asarray(ids, dtype=int)
+        position, velocity = self._world.position[chosen], self._world.velocity[chosen]
+        return kernel_dynamics(self._chain, self._rig, self._rest_length, position, velocity)
 
     def render(self, index: int = 0, camera: str = "side") -> NDArray[np.uint8]:
         return self._renderer.draw(self._world.position[index], camera)
