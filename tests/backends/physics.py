@@ -59,6 +59,26 @@ def at(robot: Robot, position: Array, velocity: Array) -> Snapshot:
     return Snapshot("by hand", robot.fingerprint, np.zeros(num), position, velocity, np.zeros((num, 0)))
 
 
+def described_bodies(robot: Robot) -> Iterator[tuple[str, float, tuple[float, float, float], Any]]:
+    """Name, mass, inertia, and centre of mass of the straight robot in the world, of every body."""
+    yield "base", robot.base.mass, robot.base.inertia, (0, 0, 0)
+    cable, height = 0, robot.base.size[2] / 2
+    for segment in robot.segments:
+        cables, servo = segment.cables, segment.servo
+        for angle in np.deg2rad(cables.angles_deg):
+            x, y = cables.pitch_radius * np.cos(angle), cables.pitch_radius * np.sin(angle)
+            z = robot.base.size[2] / 2 - cables.guide_offset - servo.offset
+            moment = 2 / 5 * servo.mass * servo.radius**2  # a solid ball
+            yield f"slider_{cable}", servo.mass, (moment, moment, moment), (x, y, z)
+            cable += 1
+    number = 0
+    for segment in robot.segments:
+        for _ in range(segment.links):
+            yield f"link_{number}", segment.link.mass, segment.link.inertia, (0, 0, height + segment.link.length / 2)
+            height += segment.link.length
+            number += 1
+
+
 def straight(robot: Robot, num: int = 1, travel: float = 0.0) -> Snapshot:
     """At rest and straight, all sliders at the same place (positive: all cables slack)."""
     position = np.zeros((num, 7 + robot.num_cables + robot.num_hinges))

@@ -11,9 +11,10 @@ import dataclasses
 import numpy as np
 import pytest
 
-from cdcsr.robot import Robot
+from cdcsr.errors import CdcsrError
+from cdcsr.robot import Robot, load_robot
 from cdcsr.simulation import Simulation, State
-from physics import commands_of, running
+from physics import commands_of, running, straight
 
 COPIES = 64
 
@@ -69,9 +70,16 @@ def test_a_snapshot_continues_as_if_never_stopped(robot: Robot, engine: str) -> 
         same(advance(first, commands[30:]), never_stopped, engine)
 
 
-@pytest.mark.parametrize("substeps", [7])
-def test_substeps_are_steps_under_one_command(paper: Robot, engine: str, substeps: int) -> None:
+def test_a_snapshot_of_something_else_is_an_error(paper: Robot, engine: str) -> None:
+    with running(paper, engine, 2) as simulation:
+        with pytest.raises(CdcsrError, match="holds 3 copies; this simulation has 2"):
+            simulation.set_snapshot(straight(paper, 3))
+        with pytest.raises(CdcsrError, match="is of robot"):
+            simulation.set_snapshot(straight(load_robot("planar-single"), 2))
+
+
+def test_substeps_are_steps_under_one_command(paper: Robot, engine: str) -> None:
     command = commands_of(paper, 1, 2)[0]
     with running(paper, engine, 2) as at_once, running(paper, engine, 2) as one_by_one:
-        at_once.step(command, substeps)
-        same(at_once.state(), advance(one_by_one, np.array([command] * substeps)), engine)
+        at_once.step(command, 7)
+        same(at_once.state(), advance(one_by_one, np.array([command] * 7)), engine)
