@@ -33,13 +33,13 @@ def test_cables_pull_only_when_taut_and_hardly_stretch(robot: Robot, engine: str
     most, usual = [], []
     with running(robot, engine, robot.num_cables) as simulation:
         before = slack(robot, simulation)
-        for state, after in pulled(robot, simulation, 1.0):
+        for state, after in pulled(robot, simulation, 0.6):
             assert state.cable_tension.min() >= 0
             assert (state.cable_tension * np.minimum(before, after).clip(0)).max() < 1e-3  # [N m]
             most.append(-after.min())
             usual.append(-np.diagonal(after))
             before = after
-        assert np.diagonal(state.cable_tension).min() > 200
+        assert np.diagonal(simulation.state().cable_tension).min() > 200
     assert max(most) <= LET_GO[engine]
     assert np.quantile(usual, 0.9) <= STRETCH
 
@@ -48,18 +48,21 @@ def test_cables_pass_on_all_the_work(robot: Robot, engine: str) -> None:
     """What the tensions take from the sliders is what they do on the joints, along the motion really made.
 
     Work on the joints of a step is tension times the fall of the length with the slider's part left out, by the
-    difference of two lengths. An error is the tension at work on stretch and slack: MuJoCo 3e-4, PyBullet 2e-6.
+    difference of two lengths. What may differ is the work of stretching, the tension times the stretch: at 250 N
+    and the 0.05 mm above 12 mJ in MuJoCo (measured 8), and a millionth of a metre in PyBullet, of 4 to 14 J.
     """
     route, still = routing(robot), np.zeros((robot.num_cables, robot.num_cables))
     taken, done = np.zeros_like(still), np.zeros_like(still)
     with running(robot, engine, robot.num_cables) as simulation:
         last = simulation.state()
-        for state, _ in pulled(robot, simulation, 1.0):
+        for state, _ in pulled(robot, simulation, 0.4):
             taken -= state.cable_tension * (state.cable_travel - last.cable_travel)  # a pull is a negative travel
             lengths = [cable_lengths(route, still, each.joint_angles) for each in (last, state)]
             done += state.cable_tension * (lengths[0] - lengths[1])
             last = state
-    np.testing.assert_allclose(done.diagonal(), taken.diagonal(), rtol=1e-3 if engine == "mujoco" else 1e-5)
+    stretching = 250 * (STRETCH if engine == "mujoco" else 1e-6)
+    np.testing.assert_allclose(done.diagonal(), taken.diagonal(), rtol=0, atol=stretching)
+    assert taken.diagonal().min() > 100 * stretching
 
 
 def test_the_tensions_reported_are_those_that_act(robot: Robot, engine: str) -> None:

@@ -15,12 +15,12 @@ from physics import at, commands_of, energy, finer, moving, running, straight, w
 
 
 def largest_rise(coarse: Robot, engine: str, divide: int, seed: int) -> float:
-    """How far the energy ever climbs above its lowest value before, relative to the start, within 0.5 s."""
+    """How far the energy ever climbs above its lowest value before, relative to the start, within 0.4 s."""
     robot, command = finer(coarse, divide), commands_of(coarse, 1, seed=seed)[0]
     with running(robot, engine) as simulation:
         start = lowest = energy(robot, simulation, command)[0]
-        rise = 0.0
-        for _ in range(round(0.5 / coarse.time_step)):
+        now, rise = start, 0.0
+        for _ in range(round(0.4 / coarse.time_step)):
             simulation.step(command, divide)
             now = energy(robot, simulation, command)[0]
             rise, lowest = max(rise, now - lowest), min(lowest, now)
@@ -28,7 +28,7 @@ def largest_rise(coarse: Robot, engine: str, divide: int, seed: int) -> float:
     return float(rise / start)
 
 
-@pytest.mark.parametrize("seed", [0, 1])
+@pytest.mark.parametrize("seed", [0, pytest.param(1, marks=pytest.mark.slow)])
 def test_under_held_commands_energy_only_falls(robot: Robot, engine: str, seed: int) -> None:
     """PyBullet's never rises at all. MuJoCo's limit is seen only once exceeded, so a cable may let go for a step and
     throw its slider back: up to 1.2e-3 of the energy at the shipped step (measured), and next to none at a quarter."""
@@ -38,13 +38,13 @@ def test_under_held_commands_energy_only_falls(robot: Robot, engine: str, seed: 
 
 
 def gain_and_loss(coarse: Robot, engine: str, divide: int, position: Array, velocity: Array, command: Array) -> float:
-    """Largest departure from the energy at the start, relative to it, within 0.25 s without any damping."""
+    """Largest departure from the energy at the start, relative to it, within 0.15 s without any damping."""
     undamped = with_parts(coarse, joint={"damping": 0.0}, servo={"damping": 0.0})
     robot, departure = finer(undamped, divide), 0.0
     with running(robot, engine) as simulation:
         simulation.set_snapshot(at(robot, position, velocity))
         start = energy(robot, simulation, command)[0]
-        for _ in range(round(0.25 / coarse.time_step)):
+        for _ in range(round(0.15 / coarse.time_step)):
             simulation.step(command, divide)
             departure = max(departure, abs(energy(robot, simulation, command)[0] - start))
     return departure / start

@@ -9,7 +9,7 @@ from cdcsr.robot import Robot
 from cdcsr.simulation import Array
 from physics import at, commands_of, finer, momentum, running, straight
 
-DURATION = 0.25
+DURATION = 0.15
 """[s]"""
 
 
