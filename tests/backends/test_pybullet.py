@@ -1,4 +1,4 @@
-"""The PyBullet engine against PyBullet's own functions, finite differences, conservation laws and itself."""
+"""The PyBullet engine against PyBullet's own functions and itself. The physics is tested in every engine."""
 
 from __future__ import annotations
 
@@ -8,12 +8,10 @@ import itertools
 import os
 import signal
 import xml.etree.ElementTree as ET
-from typing import Any
 
 import numpy as np
 import pybullet
 import pytest
-from scipy.spatial.transform import Rotation
 
 from backends.pybullet.bench import step_cost
 from backends.pybullet.cables import joint_forces, rig
@@ -27,23 +25,9 @@ from backends.pybullet.workers import Pool
 from backends.pybullet.world import World
 from cdcsr.cables import cable_lengths, routing
 from cdcsr.errors import CdcsrError, Diverged
-from cdcsr.robot import Robot, load_robot, shipped_robots
+from cdcsr.robot import Robot
 from cdcsr.simulation import Snapshot
-
-
-@pytest.fixture(params=shipped_robots())
-def robot(request: pytest.FixtureRequest) -> Robot:
-    return load_robot(request.param)
-
-
-@pytest.fixture
-def paper() -> Robot:
-    return load_robot("paper")
-
-
-def changed(robot: Robot, **sections: Any) -> Robot:
-    """The robot with some top-level keys replaced, checked as if read from a file."""
-    return Robot.model_validate(robot.model_dump() | sections)
+from physics import changed
 
 
 def random_states(robot: Robot, num: int, bend: float, speed: float, seed: int = 0) -> tuple[np.ndarray, np.ndarray]:
@@ -62,12 +46,6 @@ def random_commands(robot: Robot, steps: int, num: int = 1, seed: int = 0) -> np
     """Set-points that jump every ten steps, shape (steps, num, C)."""
     draws = np.random.default_rng(seed).uniform(-robot.servos[0].eta, 0, (steps // 10 + 1, num, robot.num_cables))
     return np.repeat(draws, 10, axis=0)[:steps]
-
-
-def excess(robot: Robot, simulation: PybulletSimulation) -> np.ndarray:
-    """How much longer than at rest every cable is, shape (num, C), in [m]."""
-    state, route = simulation.state(), routing(robot)
-    return cable_lengths(route, state.cable_travel, state.joint_angles) - route.rest_length
 
 
 # --- the model ---------------------------------------------------------------------------------------------------
@@ -129,25 +107,6 @@ def test_compiled_dynamics_is_pybullets(robot: Robot) -> None:
     place, speed = tip_states(numbers, position, velocity)
     np.testing.assert_allclose(speed, np.einsum("nij,nj->ni", theirs.tip_jacobian, velocity), atol=1e-12)
     assert place.shape == (5, 3)
-
-
-def test_tip_jacobian_against_finite_differences(robot: Robot) -> None:
-    position, velocity = random_states(robot, 1, bend=0.8, speed=1.0)
-    equation = Equation(robot)
-    jacobian = equation(position, velocity).tip_jacobian[0]
-    equation.close()
-    step = 1e-6
-
-    def tip(direction: np.ndarray, along: float) -> np.ndarray:
-        moved = position[0].copy()
-        moved[:3] += along * direction[:3]
-        turned = Rotation.from_rotvec(along * direction[3:6]) * Rotation.from_quat(np.roll(moved[3:7], -1))
-        moved[3:7] = np.roll(turned.as_quat(), 1)
-        moved[7:] += along * direction[6:]
-        return tip_states(chain(robot), moved[None], velocity)[0][0]
-
-    columns = [(tip(unit, step) - tip(unit, -step)) / (2 * step) for unit in np.eye(robot.num_coordinates)]
-    np.testing.assert_allclose(jacobian, np.transpose(columns), atol=1e-8)
 
 
 # --- cables and limits -------------------------------------------------------------------------------------------
@@ -245,56 +204,6 @@ def test_hinge_limit_stops_the_arm(paper: Robot) -> None:
     assert reach[1] == pytest.approx(0.05, abs=1e-9)
 
 
-def test_cables_pull_and_keep_their_length_at_full_command(robot: Robot) -> None:
-    simulation = PybulletSimulation(robot)
-    command = np.zeros((1, robot.num_cables))
-    command[0, ::2] = -robot.servos[0].eta
-    command[0, 2] = 0.0
-    worst = 0.0
-    for _ in range(100):
-        simulation.step(command)
-        assert simulation.state().cable_tension.min() >= 0
-        worst = max(worst, excess(robot, simulation).max())
-    taut = np.abs(excess(robot, simulation)) < 1e-6
-    simulation.close()
-    assert worst <= 0.05e-3
-    assert taut.any()
-
-
-def test_a_robot_at_rest_stays_at_rest(paper: Robot) -> None:
-    simulation = PybulletSimulation(paper)
-    start = simulation.get_snapshot()
-    simulation.step(np.zeros((1, paper.num_cables)), 20)
-    end = simulation.get_snapshot()
-    simulation.close()
-    np.testing.assert_allclose(end.position, start.position, atol=1e-15)
-    np.testing.assert_allclose(end.velocity, 0, atol=1e-15)
-
-
-def test_momentum_is_conserved_in_the_limit_of_small_steps(paper: Robot) -> None:
-    """Drift of linear momentum, and of angular momentum about the centre of mass, halves with the step."""
-    drifts = []
-    for step in (paper.time_step, paper.time_step / 2):
-        robot = changed(paper, time_step=step)
-        simulation = PybulletSimulation(robot)
-        linear = angular = 0.0
-        for command in random_commands(robot, 100):
-            simulation.step(command, round(paper.time_step / step))
-            equation = simulation.dynamics()
-            mass, velocity = equation.mass_matrix[0], equation.velocity[0]
-            momentum, about_base = mass[:3] @ velocity, mass[3:6] @ velocity
-            # Angular momentum of a unit translation is (first moment) x (direction).
-            center = np.array([mass[5, 1], mass[3, 2], mass[4, 0]]) / mass[0, 0]
-            linear = max(linear, float(np.linalg.norm(momentum)))
-            angular = max(angular, float(np.linalg.norm(about_base - np.cross(center, momentum))))
-        simulation.close()
-        drifts.append((linear, angular))
-    assert drifts[0][0] < 0.04  # of 514 kg
-    assert drifts[0][1] < 0.02
-    assert drifts[1][0] < 0.65 * drifts[0][0]
-    assert drifts[1][1] < 0.65 * drifts[0][1]
-
-
 def test_joint_speed_is_not_clamped(paper: Robot) -> None:
     simulation = PybulletSimulation(paper)
     snapshot = simulation.get_snapshot()
@@ -307,68 +216,6 @@ def test_joint_speed_is_not_clamped(paper: Robot) -> None:
 
 
 # --- copies, snapshots, workers ----------------------------------------------------------------------------------
-
-
-def test_each_copy_moves_as_if_alone(paper: Robot) -> None:
-    """Also where the copies take more than one PyBullet client."""
-    commands = random_commands(paper, 40, num=6)
-    batch = PybulletSimulation(paper, 6)
-    for command in commands:
-        batch.step(command)
-    together = batch.get_snapshot()
-    batch.close()
-    for n in range(6):
-        alone = PybulletSimulation(paper)
-        for command in commands:
-            alone.step(command[n : n + 1])
-        np.testing.assert_allclose(alone.get_snapshot().position[0], together.position[n], atol=1e-12)
-        alone.close()
-
-
-def test_a_reset_copy_is_like_a_fresh_one_and_the_others_are_untouched(paper: Robot) -> None:
-    commands = random_commands(paper, 60, num=3)
-    simulation, fresh = PybulletSimulation(paper, 3), PybulletSimulation(paper, 3)
-    for command in commands:
-        simulation.step(command)
-    before = simulation.get_snapshot()
-    simulation.reset([1])
-    after = simulation.get_snapshot()
-    start = fresh.get_snapshot()
-    np.testing.assert_array_equal(after.position[[0, 2]], before.position[[0, 2]])
-    np.testing.assert_array_equal(after.velocity[[0, 2]], before.velocity[[0, 2]])
-    np.testing.assert_array_equal(after.time, [before.time[0], 0.0, before.time[2]])
-    np.testing.assert_array_equal(after.position[1], start.position[1])
-    for command in commands:
-        simulation.step(command)
-        fresh.step(command)
-    np.testing.assert_allclose(simulation.get_snapshot().position[1], fresh.get_snapshot().position[1], atol=1e-12)
-    simulation.close()
-    fresh.close()
-
-
-def test_a_snapshot_continues(paper: Robot) -> None:
-    """Good to 1e-12 over 50 steps: PyBullet keeps the base's pose in another form than it gives it out."""
-    commands = random_commands(paper, 100)
-    first, second = PybulletSimulation(paper), PybulletSimulation(paper)
-    for command in commands[:50]:
-        first.step(command)
-    snapshot = first.get_snapshot()
-    second.set_snapshot(snapshot)
-    np.testing.assert_array_equal(second.state().cable_tension, first.state().cable_tension)
-    for command in commands[50:]:
-        first.step(command)
-        second.step(command)
-    for name in ("time", "position", "velocity", "private"):
-        np.testing.assert_allclose(
-            getattr(second.get_snapshot(), name), getattr(first.get_snapshot(), name), rtol=1e-9, atol=1e-10
-        )
-    foreign = dataclasses.replace(snapshot, engine="another", private=np.zeros((1, 999)))
-    second.set_snapshot(foreign)
-    np.testing.assert_allclose(second.get_snapshot().position, snapshot.position, atol=1e-15)
-    with pytest.raises(CdcsrError, match="is of robot"):
-        second.set_snapshot(dataclasses.replace(snapshot, robot="0" * 16))
-    first.close()
-    second.close()
 
 
 def with_velocity(snapshot: Snapshot, copy: int, speed: float) -> Snapshot:
