@@ -35,6 +35,11 @@ class Plant(NamedTuple):
     rest_length_offset: Array
     """(n, C) how much longer each cable is than described, in [m]."""
 
+    @property
+    def start_travel(self) -> Array:
+        """Where sliders begin, shape (n, C), in [m]: at zero, or as far up as the straight arm's short cable asks."""
+        return np.maximum(-self.rest_length_offset, 0.0)
+
 
 @dataclass(frozen=True, eq=False)
 class Parameters:
@@ -62,7 +67,8 @@ class Parameters:
     servo_gain: ArrayLike = 1.0
     """By cable."""
     rest_length_offset: ArrayLike = 0.0
-    """By cable, added to its rest length, in [m]; positive is a stretched cable."""
+    """By cable, added to its rest length, in [m]; positive is a stretched cable. A shorter one moves the place where
+    its slider begins, so set it before a reset; in mid-motion it jerks the arm."""
     command_delay: ArrayLike = 0
     """By copy: how many time steps pass before a command acts."""
 

@@ -143,7 +143,10 @@ class Simulation(ABC):
         self._set_plant(chosen, plant)
 
     def reset(self, ids: Ids = None) -> None:
-        """Put copies back to the start: straight, at rest, time zero. The others are untouched, as are parameters."""
+        """Put copies back to the start: straight, at rest, time zero. The others are untouched.
+
+        Parameters stay as they were set. A slider whose cable they have shortened begins where that is just taut.
+        """
         chosen = self._chosen(ids)
         self._stop_commands(chosen)
         self._reset(chosen)

@@ -61,6 +61,10 @@ class MujocoSimulation(Simulation):
 
     def _reset(self, ids: NDArray[np.int64]) -> None:
         self.batch.reset(ids, stage=CURRENT)
+        travel = self.plant.start_travel[ids]
+        if travel.any():
+            self._qpos[ids, 7 : 7 + self.robot.num_cables] = travel
+            self.batch.forward(ids, stage=CURRENT)
         self._tension[ids] = 0
 
     def _step(self, command: Array, substeps: int) -> None:

@@ -78,6 +78,9 @@ def set_masses(client: int, body: int, plant: Plant, row: int) -> None:
     # A link's own body is at the second of its two hinges.
     bodies += [(first + 2 * j + 1, plant.link_mass[row, j], plant.link_inertia[row, j]) for j in range(num_links)]
     for index, mass, inertia in bodies:  # a new mass alone would bring an inertia of PyBullet's own
-        pybullet.changeDynamics(
-            body, index, mass=float(mass), localInertiaDiagonal=inertia.tolist(), physicsClientId=client
-        )
+        moments = inertia.tolist()
+        # Where the largest is the sum of the other two, as a flat body's is, rounding must not put it above: PyBullet
+        # would answer no more questions.
+        largest = moments.index(max(moments))
+        moments[largest] = min(moments[largest], sum(moments[:largest] + moments[largest + 1 :]))
+        pybullet.changeDynamics(body, index, mass=float(mass), localInertiaDiagonal=moments, physicsClientId=client)

@@ -72,14 +72,17 @@ class World:
         for mine, new in zip(self._plant, plant, strict=True):
             mine[ids] = new
         for row, copy in enumerate(ids.tolist()):
-            set_masses(*self._bodies[copy], plant, row)
+            client, body = self._bodies[copy]
+            set_masses(client, body, plant, row)
 
     def reset(self, ids: Iterable[int]) -> None:
         """Put copies back to the start."""
+        travel = self._plant.start_travel
         for copy in ids:
             self.time[copy] = 0.0
             self.position[copy] = 0.0
             self.position[copy, 3] = 1.0
+            self.position[copy, 7 : 7 + travel.shape[1]] = travel[copy]
             self.velocity[copy] = 0.0
             self.tension[copy] = 0.0
             self._write(copy)
