@@ -20,8 +20,9 @@ from cdcsr.simulation import Dynamics, rotation_matrix
 
 Array = NDArray[np.float64]
 
-_MOST_BODIES = 512
-"""From how many on the client is made anew; removing a body would not remove what PyBullet remembers of it."""
+_MOST_BODIES = 64
+"""Of 1 MB each. Before there are more the client is made anew, as removing bodies would not remove what PyBullet
+remembers of them."""
 
 
 class Equation:
@@ -48,11 +49,7 @@ class Equation:
         """
         if plant is None:
             plant = Parameters().plant(self._robot, len(position))
-        if len(self._bodies) > _MOST_BODIES:
-            self.close()
-            self._open()
-        bodies = [self._body(plant, row) for row in range(len(position))]
-        rows = [self._one(*state) for state in zip(bodies, position, velocity, strict=True)]
+        rows = [self._one(*state) for state in zip(self._chosen(plant), position, velocity, strict=True)]
         mass, bias, tip = (np.stack(part) for part in zip(*rows, strict=True))
         joints, rates = position[:, 7:], velocity[:, 6:]
         passive = np.zeros_like(velocity)
@@ -71,15 +68,19 @@ class Equation:
         self._client = connect(self._robot)
         self._disconnect = weakref.finalize(self, pybullet.disconnect, self._client)
 
-    def _body(self, plant: Plant, row: int) -> int:
-        """The body with the masses in a row of `plant`. Once asked it keeps them, so that other masses are another."""
-        key = b"".join(
-            part[row].tobytes() for part in (plant.base_mass, plant.base_inertia, plant.link_mass, plant.link_inertia)
-        )
-        if key not in self._bodies:
-            self._bodies[key] = load_robot_body(self._robot, self._client)
-            set_masses(self._client, self._bodies[key], plant, row)
-        return self._bodies[key]
+    def _chosen(self, plant: Plant) -> list[int]:
+        """The bodies with the masses in the rows of `plant`; one that was asked keeps its masses for ever."""
+        masses = (plant.base_mass, plant.base_inertia, plant.link_mass, plant.link_inertia)
+        keys = [b"".join(part[row].tobytes() for part in masses) for row in range(len(plant.base_mass))]
+        missing = set(keys) - self._bodies.keys()
+        if missing and len(self._bodies) + len(missing) > _MOST_BODIES:
+            self.close()
+            self._open()
+        for row, key in enumerate(keys):
+            if key not in self._bodies:
+                self._bodies[key] = load_robot_body(self._robot, self._client)
+                set_masses(self._client, self._bodies[key], plant, row)
+        return [self._bodies[key] for key in keys]
 
     def _one(self, body: int, position: Array, velocity: Array) -> tuple[Array, Array, Array]:
         """Mass matrix, bias force and tip Jacobian of one body at one state."""
