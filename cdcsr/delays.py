@@ -20,7 +20,7 @@ def check_delay(name: str, delay: object) -> NDArray[np.int64]:
         CdcsrError: not whole numbers from 0 to `MAX_DELAY`.
     """
     steps = np.asarray(delay)
-    if steps.dtype.kind not in "iu" or steps.size == 0 or steps.min() < 0 or steps.max() > MAX_DELAY:
+    if steps.dtype.kind not in "iu" or ((steps < 0) | (steps > MAX_DELAY)).any():
         raise CdcsrError(f"{name} counts whole steps, from 0 to {MAX_DELAY}; found {delay!r}.")
     return steps.astype(np.int64)
 

@@ -13,7 +13,7 @@ from backends.mujoco.simulation import MujocoSimulation
 from backends.pybullet.dynamics import bias_force, chain, forward_kinematics, mass_matrix, own_chain
 from backends.pybullet.simulation import PybulletSimulation
 from cdcsr.delays import MAX_DELAY
-from cdcsr.errors import CdcsrError, Diverged
+from cdcsr.errors import CdcsrError
 from cdcsr.parameters import Parameters
 from cdcsr.robot import Robot, load_robot, shipped_robots
 from cdcsr.simulation import Array, Simulation, Snapshot, backend_names, load_backend
@@ -343,72 +343,6 @@ def test_workers_and_threads_have_the_parameters_too(paper: Robot) -> None:
             simulation.close()
 
 
-# --- late commands -----------------------------------------------------------------------------------------------
-
-
-@pytest.mark.parametrize("substeps", [1, 3])
-def test_a_delay_shifts_the_response_by_so_many_steps(make: Make, engine: str, paper: Robot, substeps: int) -> None:
-    """At rest nothing moves, so that a copy k steps late is where a punctual one was k steps before."""
-    delays = [0, 1, 4]
-    late, punctual = make(engine, paper, 3), make(engine, paper)
-    late.set_parameters(None, Parameters(command_delay=delays))
-    past = [punctual.get_snapshot().position[0]]
-    for command in commands_of(paper, 30):
-        late.step(np.repeat(command, 3, axis=0), substeps)
-        for _ in range(substeps):
-            punctual.step(command)
-            past.append(punctual.get_snapshot().position[0])
-        for copy, delay in enumerate(delays):
-            expected = past[max(len(past) - 1 - delay, 0)]
-            # A robot at rest keeps still to 1e-9 only where MuJoCo's cables are taut from the start.
-            np.testing.assert_allclose(late.get_snapshot().position[copy], expected, rtol=0, atol=1e-7)
-
-
-def test_commands_under_way_are_in_the_snapshot_of_any_engine(make: Make, engine: str, paper: Robot) -> None:
-    delays, commands = [5, 2], commands_of(paper, 20, 2)
-    for other in backend_names():
-        first, second = make(engine, paper, 2), make(other, paper, 2)
-        for simulation in (first, second):
-            simulation.set_parameters(None, Parameters(command_delay=delays))
-        for command in commands:
-            first.step(command)
-        sent = first.get_snapshot().commands
-        assert sent is not None
-        np.testing.assert_array_equal(sent, commands[-5:].swapaxes(0, 1))
-        second.set_snapshot(first.get_snapshot())
-        received = second.get_snapshot().commands
-        assert received is not None
-        np.testing.assert_array_equal(received, sent)
-        # Both go on with the old commands, whatever comes now.
-        for _ in range(2):
-            first.step(np.zeros((2, paper.num_cables)))
-            second.step(np.zeros((2, paper.num_cables)))
-        np.testing.assert_allclose(
-            second.state().cable_travel, first.state().cable_travel, atol=1e-8 if engine == other else 1e-2
-        )
-        first.reset([0])
-        sent = first.get_snapshot().commands
-        assert sent is not None
-        assert not sent[0].any()
-        assert sent[1].any()
-
-
-def test_a_copy_that_diverges_does_not_cost_the_others_their_late_commands(make: Make, paper: Robot) -> None:
-    commands = commands_of(paper, 10, 2)
-    one, other = make("pybullet", paper, 2), make("pybullet", paper, 2)
-    for simulation in (one, other):
-        simulation.set_parameters(None, Parameters(command_delay=[2, 1]))
-        for command in commands:
-            simulation.step(command)
-    snapshot = one.get_snapshot()
-    snapshot.velocity[1, -1] = 1e6
-    one.set_snapshot(snapshot)
-    with pytest.raises(Diverged, match="copy 1"):
-        one.step(commands[0], 5)
-    other.step(commands[0], 5)
-    assert_same(one.get_snapshot(), other.get_snapshot(), copies=[0], atol=1e-10)
-
-
 # --- mistakes ----------------------------------------------------------------------------------------------------
 
 
@@ -438,6 +372,14 @@ def test_impossible_parameters_are_errors_and_change_nothing(
         simulation.set_parameters([0, 2], Parameters(**{"base_mass": 2.0} | bad))
     for part, was in zip(simulation.plant, before, strict=True):
         np.testing.assert_array_equal(part, was)
+
+
+def test_no_copies_at_all_is_no_mistake(make: Make, engine: str, paper: Robot) -> None:
+    simulation = make(engine, paper, 2)
+    before = simulation.get_snapshot()
+    simulation.set_parameters([], random_parameters(paper, 0))
+    simulation.set_parameters([], Parameters(command_delay=np.zeros(0, int)))
+    assert_same(simulation.get_snapshot(), before)
 
 
 def test_damping_and_stiffness_may_be_zero(make: Make, engine: str, paper: Robot) -> None:
