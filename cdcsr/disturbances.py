@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from cdcsr.delays import DelayLine, check_delay
 from cdcsr.errors import CdcsrError
 from cdcsr.tasks import BASE_POSITION
 
@@ -23,10 +24,14 @@ class Disturbances:
     """Standard deviation of Gaussian noise on the observed base position, in [m]."""
     packet_loss: float = 0.0
     """Probability that an observation does not arrive; the last one that did stands in for it."""
+    observation_delay: int = 0
+    """How many steps of the environment old an observation is when it arrives. An episode's first stands in for
+    those before it. Commands that arrive late are the robot's own: see :class:`cdcsr.parameters.Parameters`."""
 
     def __post_init__(self) -> None:
         if min(self.action_noise, self.base_noise) < 0 or not 0 <= self.packet_loss <= 1:
             raise CdcsrError(f"Noise must not be negative and packet_loss must lie in [0, 1]; found {self}.")
+        check_delay("observation_delay", self.observation_delay)
 
 
 class Channel:
@@ -37,21 +42,27 @@ class Channel:
         # A stream of its own: how often it is asked must not change the targets that `rng` draws.
         self._rng = rng.spawn(1)[0]
         self._received: Array | None = None
+        self._line = DelayLine(0, 0)
 
     def start(self, observation: Array, fresh: NDArray[np.bool_]) -> Array:
         """The first observation of an episode always arrives. `fresh` marks the copies that begin one."""
         observation = self._noisy(observation)
         if self._received is None:
             self._received = observation
+            every, delay = np.arange(len(observation)), np.full(len(observation), self._is.observation_delay)
+            self._line = DelayLine(*observation.shape)
+            self._line.set_delay(every, delay)
         else:
             self._received = np.where(fresh[:, None], observation, self._received)
+        self._line.fill(np.flatnonzero(fresh), observation[fresh])
         return self._received.copy()
 
     def observe(self, observation: Array) -> Array:
         """What arrives of an observation, shape (num, n)."""
         assert self._received is not None
         lost = self._rng.random(len(observation)) < self._is.packet_loss
-        self._received = np.where(lost[:, None], self._received, self._noisy(observation))
+        arriving = self._line.push(self._noisy(observation))
+        self._received = np.where(lost[:, None], self._received, arriving)
         return self._received.copy()
 
     def command(self, command: Array) -> Array:

@@ -8,14 +8,16 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from importlib.metadata import entry_points
 from typing import ClassVar, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
-from cdcsr.errors import CdcsrError, unknown_choice
+from cdcsr.delays import DelayLine
+from cdcsr.errors import CdcsrError, Diverged, unknown_choice
+from cdcsr.parameters import Parameters, Plant
 from cdcsr.robot import Robot
 
 Array = NDArray[np.float64]
@@ -76,7 +78,7 @@ class Dynamics:
 
 @dataclass(frozen=True)
 class Snapshot:
-    """Everything that determines the future of every copy.
+    """Everything that determines the future of every copy, but for the robot and the parameters it was made with.
 
     Position and velocity are common to all engines, so a snapshot can be carried from one to another;
     `private` is what else the engine that made it needs to continue as if it had never stopped.
@@ -93,6 +95,9 @@ class Snapshot:
     """(num, 6 + C + 2 J), in the order of coordinates."""
     private: Array
     """(num, ...) read only by `engine`."""
+    commands: Array | None = None
+    """(num, K, C) those of the last K time steps, oldest first, in [m]; K is the longest command delay. None is
+    no commands under way."""
 
 
 class Simulation(ABC):
@@ -103,6 +108,9 @@ class Simulation(ABC):
         num: how many copies.
 
     Commands are servo set-points, shape (num, C), in [-eta, 0] m; engines do not clip them.
+
+    Attributes:
+        plant: the numbers of every copy that `set_parameters` changes, to be read only.
     """
 
     engine: ClassVar[str]
@@ -113,34 +121,85 @@ class Simulation(ABC):
             raise CdcsrError(f"A simulation needs at least one copy, not {num}.")
         self.robot = robot
         self.num = num
+        self.plant: Plant = Parameters().plant(robot, num)
+        self._line = DelayLine(num, robot.num_cables)
 
-    @abstractmethod
+    def set_parameters(self, ids: Ids, parameters: Parameters) -> None:
+        """Make copies differ from the description, in everything that `parameters` hold; until set again.
+
+        They act from the next step on, and neither reset nor a snapshot changes them. Commands sent before there
+        was any delay count as zero where a delay now asks for them.
+
+        Args:
+            ids: which copies.
+            parameters: arrays in them have as many rows as there are `ids`.
+
+        Raises:
+            CdcsrError: a parameter has a shape that does not fit, or lies outside its range.
+        """
+        chosen = self._chosen(ids)
+        plant, delay = parameters.plant(self.robot, len(chosen)), parameters.delay(len(chosen))
+        for mine, new in zip(self.plant, plant, strict=True):
+            mine[chosen] = new
+        self._line.set_delay(chosen, delay)
+        self._set_plant(chosen, plant)
+
     def reset(self, ids: Ids = None) -> None:
-        """Put copies back to the start: straight, at rest, time zero. The others are untouched."""
+        """Put copies back to the start: straight, at rest, time zero. The others are untouched.
 
-    @abstractmethod
+        Parameters stay as they were set. A slider whose cable they have shortened begins where that is just taut.
+        """
+        chosen = self._chosen(ids)
+        self._stop_commands(chosen)
+        self._reset(chosen)
+
     def step(self, command: Array, substeps: int = 1) -> None:
         """Advance all copies by `substeps` time steps under one command.
 
         Raises:
+            CdcsrError: the command has another shape than (num, C).
             Diverged: a copy's numbers left the range in which they mean anything.
         """
+        command = np.ascontiguousarray(command, dtype=float)
+        if command.shape != (self.num, self.robot.num_cables):
+            expected = (self.num, self.robot.num_cables)
+            raise CdcsrError(f"Commands have the shape (num, cables) = {expected}, not {command.shape}.")
+        if self._line.idle:
+            self._step(command, substeps)
+            return
+        lost: Diverged | None = None
+        for _ in range(substeps):
+            try:
+                self._step(self._line.push(command), 1)
+            except Diverged as error:  # the other copies are still owed all substeps
+                lost = lost or error
+        if lost is not None:
+            raise lost
 
     @abstractmethod
     def state(self) -> State:
         """The state of all copies. The arrays stay as they are when the simulation goes on."""
 
-    @abstractmethod
     def get_snapshot(self) -> Snapshot:
-        """Everything that determines the future of all copies."""
+        """Everything that determines the future of all copies, but for robot and parameters."""
+        snapshot = self._get_snapshot()
+        return snapshot if self._line.idle else replace(snapshot, commands=self._line.sent)
 
-    @abstractmethod
     def set_snapshot(self, snapshot: Snapshot) -> None:
-        """Continue from a snapshot of the same robot, from this engine or another.
+        """Continue from a snapshot of the same robot, from this engine or another; parameters stay as they are.
 
         Raises:
             CdcsrError: it is of another robot or another number of copies.
         """
+        if snapshot.robot != self.robot.fingerprint:
+            raise CdcsrError(
+                f"The snapshot is of robot {snapshot.robot}; this simulation runs {self.robot.fingerprint}."
+            )
+        if len(snapshot.time) != self.num:
+            raise CdcsrError(f"The snapshot holds {len(snapshot.time)} copies; this simulation has {self.num}.")
+        none = np.zeros((self.num, 0, self.robot.num_cables))
+        self._line.sent = none if snapshot.commands is None else snapshot.commands
+        self._set_snapshot(snapshot)
 
     @abstractmethod
     def dynamics(self, ids: Ids = None) -> Dynamics:
@@ -165,13 +224,31 @@ class Simulation(ABC):
     def close(self) -> None:
         """Release what the engine holds."""
 
-    def _check_snapshot(self, snapshot: Snapshot) -> None:
-        if snapshot.robot != self.robot.fingerprint:
-            raise CdcsrError(
-                f"The snapshot is of robot {snapshot.robot}; this simulation runs {self.robot.fingerprint}."
-            )
-        if len(snapshot.time) != self.num:
-            raise CdcsrError(f"The snapshot holds {len(snapshot.time)} copies; this simulation has {self.num}.")
+    # What an engine does of the above. The checks are done, commands already delayed, and copies in order.
+
+    @abstractmethod
+    def _set_plant(self, ids: NDArray[np.int64], plant: Plant) -> None:
+        """Give copies `ids` the numbers in the rows of `plant`, from the next step on and in `dynamics`."""
+
+    @abstractmethod
+    def _reset(self, ids: NDArray[np.int64]) -> None: ...
+
+    @abstractmethod
+    def _step(self, command: Array, substeps: int) -> None: ...
+
+    @abstractmethod
+    def _get_snapshot(self) -> Snapshot: ...
+
+    @abstractmethod
+    def _set_snapshot(self, snapshot: Snapshot) -> None: ...
+
+    def _stop_commands(self, ids: NDArray[np.int64]) -> None:
+        """Forget what is under way to copies that are back at the start, where all set-points are zero."""
+        self._line.fill(ids, np.zeros((len(ids), self.robot.num_cables)))
+
+    def _chosen(self, ids: Ids) -> NDArray[np.int64]:
+        every = np.arange(self.num)
+        return every if ids is None else every[np.asarray(ids, dtype=np.int64)]
 
 
 CAMERAS: dict[str, tuple[float, float]] = {"side": (55.0, -8.0), "front": (0.0, 0.0), "top": (55.0, -50.0)}

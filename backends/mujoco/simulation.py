@@ -8,7 +8,9 @@ from mujoco import batch
 from numpy.typing import NDArray
 
 from backends.mujoco.model import build_spec
+from backends.mujoco.plants import write_plant
 from cdcsr.errors import CdcsrError, Diverged
+from cdcsr.parameters import Plant
 from cdcsr.robot import Robot
 from cdcsr.simulation import CAMERAS, Array, Dynamics, Ids, Simulation, Snapshot, State, rotation_matrix
 
@@ -46,13 +48,26 @@ class MujocoSimulation(Simulation):
         self._tension = np.zeros((num, robot.num_cables))
         self._scratch = mujoco.MjData(self.model)
         self._renderer: mujoco.Renderer | None = None
+        # Where a copy's own model is looked at; None as long as all have the same.
+        self._own_model: mujoco.MjModel | None = None
         self.reset()
 
-    def reset(self, ids: Ids = None) -> None:
-        self.batch.reset(None if ids is None else np.asarray(ids, dtype=np.int32), stage=CURRENT)
-        self._tension[slice(None) if ids is None else ids] = 0
+    def _set_plant(self, ids: NDArray[np.int64], plant: Plant) -> None:
+        write_plant(self.batch, ids, plant)
+        # The next step starts from what the last one has left, mass matrix and all; that is now out of date.
+        self.batch.forward(ids, stage=CURRENT)
+        if self._own_model is None:
+            self._own_model = self.batch.get_model(0)
 
-    def step(self, command: Array, substeps: int = 1) -> None:
+    def _reset(self, ids: NDArray[np.int64]) -> None:
+        self.batch.reset(ids, stage=CURRENT)
+        travel = self.plant.start_travel[ids]
+        if travel.any():
+            self._qpos[ids, 7 : 7 + self.robot.num_cables] = travel
+            self.batch.forward(ids, stage=CURRENT)
+        self._tension[ids] = 0
+
+    def _step(self, command: Array, substeps: int) -> None:
         self._ctrl[:] = command
         self.batch.step(nstep=substeps, stage=CURRENT)
         # A cable that is not at its limit reports zero; the limit's multiplier is a pull.
@@ -84,14 +99,13 @@ class MujocoSimulation(Simulation):
             joint_rates=qvel[:, 6 + num_cables :],
         )
 
-    def get_snapshot(self) -> Snapshot:
+    def _get_snapshot(self) -> Snapshot:
         velocity = self._qvel.copy()
         velocity[:, 3:6] = self._sensors[:, 6:_TENSION]  # MuJoCo's own is in the base frame
         private = np.concatenate([self.batch.state, self._tension], axis=1)
         return Snapshot(self.engine, self.robot.fingerprint, self._time.copy(), self._qpos.copy(), velocity, private)
 
-    def set_snapshot(self, snapshot: Snapshot) -> None:
-        self._check_snapshot(snapshot)
+    def _set_snapshot(self, snapshot: Snapshot) -> None:
         if snapshot.engine == self.engine:
             size = self.batch.state.shape[1]
             self.batch.state[:] = snapshot.private[:, :size]
@@ -117,12 +131,15 @@ class MujocoSimulation(Simulation):
         """The equation of motion, from MuJoCo's own model."""
         chosen = np.arange(self.num) if ids is None else np.asarray(ids)
         model, data, nv, num_cables = self.model, self._scratch, self.model.nv, self.robot.num_cables
+        own = self._own_model
         mass, tip = np.zeros((len(chosen), nv, nv)), np.zeros((len(chosen), 3, nv))
         bias, passive = np.zeros((2, len(chosen), nv))
         cables, velocity = np.zeros((len(chosen), num_cables, nv)), np.zeros((len(chosen), nv))
         length = np.zeros((len(chosen), num_cables))
         tip_site = model.site("tip").id
         for i, copy in enumerate(chosen):
+            if own is not None:
+                model = self.batch.get_model(int(copy), own)
             data.qpos, data.qvel = self._qpos[copy], self._qvel[copy]
             mujoco.mj_fwdPosition(model, data)
             mujoco.mj_fwdVelocity(model, data)

@@ -23,8 +23,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from backends.pybullet.complementarity import append_row, factor, solve_complementarity, solve_transposed
-from backends.pybullet.dynamics import Chain, bias_force, forward_kinematics, mass_matrix
+from backends.pybullet.dynamics import Chain, bias_force, forward_kinematics, mass_matrix, own_chain
 from cdcsr.cables import crossing, routing
+from cdcsr.parameters import Plant
 from cdcsr.robot import Robot
 
 Array = NDArray[np.float64]
@@ -43,6 +44,8 @@ class Rig(NamedTuple):
     """(C,) how many joints each cable crosses."""
     slider_offset: Array
     """(C,) [m]."""
+    rest_length_offset: Array
+    """(C,) how much longer each cable is than the description's, in [m]."""
     gain: Array
     """(C,) of the servos in [N/m]."""
     stiffness: Array
@@ -66,12 +69,31 @@ def rig(robot: Robot) -> Rig:
         guide_offset=route.guide_offset,
         joints=route.joints,
         slider_offset=route.slider_offset,
+        rest_length_offset=np.zeros(robot.num_cables),
         gain=np.array([servo.gain for servo in robot.servos]),
         stiffness=np.array([joint.stiffness for joint in hinges]),
         damping=np.array([servo.damping for servo in robot.servos] + [joint.damping for joint in hinges]),
         limit=np.array([joint.limit for joint in hinges]),
         time_step=robot.time_step,
         recovery_time=robot.constraint.recovery_time,
+    )
+
+
+@numba.njit(cache=True)
+def own_rig(rig: Rig, plant: Plant, row: int) -> Rig:
+    """The numbers of one copy: from a row of `plant` what it has, all else from the description."""
+    return Rig(
+        rig.place,
+        rig.guide_offset,
+        rig.joints,
+        rig.slider_offset,
+        plant.rest_length_offset[row],
+        plant.servo_gain[row],
+        plant.stiffness[row],
+        plant.damping[row],
+        rig.limit,
+        rig.time_step,
+        rig.recovery_time,
     )
 
 
@@ -89,7 +111,7 @@ def cable_rows(rig: Rig, travel: Array, sine: Array, cosine: Array, by_slider: A
             length, by_x, by_y = _crossing(sine[x], cosine[x], sine[y], cosine[y], px, py, offset)
             excess += length - 2 * offset
             by_hinge[c, x], by_hinge[c, y] = by_x, by_y
-        gap[c] = -excess
+        gap[c] = rig.rest_length_offset[c] - excess
     return gap
 
 
@@ -225,12 +247,20 @@ def _joint_forces(chain: Chain, rig: Rig, position: Array, velocity: Array, comm
 
 @numba.njit(cache=True)
 def joint_forces(
-    chain: Chain, rig: Rig, position: Array, velocity: Array, command: Array, tension: Array, force: Array
+    chain: Chain,
+    rig: Rig,
+    plant: Plant,
+    position: Array,
+    velocity: Array,
+    command: Array,
+    tension: Array,
+    force: Array,
 ) -> None:
     """Joint forces of the coming step of many copies.
 
     Args:
         chain, rig: the robot's numbers.
+        plant: the copies' own, which replace them.
         position: as in a Snapshot, shape (num, 7 + C + 2 J).
         velocity: shape (num, nv).
         command: servo set-points, shape (num, C), in [m].
@@ -238,4 +268,5 @@ def joint_forces(
         force: filled, shape (num, C + 2 J), in [N] and [N m].
     """
     for n in range(position.shape[0]):
-        force[n] = _joint_forces(chain, rig, position[n], velocity[n], command[n], tension[n])
+        own = own_chain(chain, plant, n), own_rig(rig, plant, n)
+        force[n] = _joint_forces(own[0], own[1], position[n], velocity[n], command[n], tension[n])

@@ -22,6 +22,7 @@ from numpy.typing import NDArray
 
 from backends.pybullet.model import slider_places
 from backends.pybullet.vectors import Vec, add, blend, cross, dot, vec
+from cdcsr.parameters import Plant
 from cdcsr.robot import Robot
 
 Array = NDArray[np.float64]
@@ -83,6 +84,22 @@ def chain(robot: Robot) -> Chain:
         link_mass=np.array([link.mass for link in links]),
         link_inertia=np.array([link.inertia for link in links]),
         link_length=np.array([link.length for link in links]),
+    )
+
+
+@numba.njit(cache=True)
+def own_chain(chain: Chain, plant: Plant, row: int) -> Chain:
+    """The numbers of one copy: masses and inertias from a row of `plant`, all else from the description."""
+    return Chain(
+        plant.base_mass[row],
+        plant.base_inertia[row],
+        chain.top,
+        chain.slider_place,
+        chain.slider_mass,
+        chain.slider_moment,
+        plant.link_mass[row],
+        plant.link_inertia[row],
+        chain.link_length,
     )
 
 

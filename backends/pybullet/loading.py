@@ -10,6 +10,7 @@ import pybullet
 
 from backends.pybullet.model import joint_names, urdf
 from cdcsr.errors import CdcsrError
+from cdcsr.parameters import Plant
 from cdcsr.robot import Robot
 
 MAX_JOINT_SPEED = 1e9
@@ -63,3 +64,23 @@ def load_robot_body(robot: Robot, client: int) -> int:
         body, range(count), pybullet.VELOCITY_CONTROL, forces=[0.0] * count, physicsClientId=client
     )
     return body
+
+
+def set_masses(client: int, body: int, plant: Plant, row: int) -> None:
+    """Give a body the masses and inertias in one row of `plant`.
+
+    PyBullet answers calculateMassMatrix, calculateInverseDynamics and calculateJacobian with the masses that a body
+    had when first asked, even where that body was removed and another one has taken its place in memory.
+    """
+    num_links = plant.link_mass.shape[1]
+    first = pybullet.getNumJoints(body, physicsClientId=client) - 2 * num_links
+    bodies = [(-1, plant.base_mass[row], plant.base_inertia[row])]
+    # A link's own body is at the second of its two hinges.
+    bodies += [(first + 2 * j + 1, plant.link_mass[row, j], plant.link_inertia[row, j]) for j in range(num_links)]
+    for index, mass, inertia in bodies:  # a new mass alone would bring an inertia of PyBullet's own
+        moments = inertia.tolist()
+        # Where the largest is the sum of the other two, as a flat body's is, rounding must not put it above: PyBullet
+        # would answer no more questions.
+        largest = moments.index(max(moments))
+        moments[largest] = min(moments[largest], sum(moments[:largest] + moments[largest + 1 :]))
+        pybullet.changeDynamics(body, index, mass=float(mass), localInertiaDiagonal=moments, physicsClientId=client)

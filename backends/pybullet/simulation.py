@@ -18,6 +18,7 @@ from backends.pybullet.workers import Pool
 from backends.pybullet.world import World
 from cdcsr.cables import routing
 from cdcsr.errors import CdcsrError, Diverged
+from cdcsr.parameters import Plant
 from cdcsr.robot import Robot
 from cdcsr.simulation import Array, Capability, Dynamics, Ids, Simulation, Snapshot, State
 
@@ -52,17 +53,16 @@ class PybulletSimulation(Simulation):
         self._world = Pool(robot, num, workers) if workers else World(robot, num)
         self._chain, self._rig, self._rest_length = chain(robot), rig(robot), routing(robot).rest_length
 
-    def reset(self, ids: Ids = None) -> None:
-        every = np.arange(self.num)
-        self._world.reset((every if ids is None else every[np.asarray(ids, dtype=int)]).tolist())
+    def _set_plant(self, ids: NDArray[np.int64], plant: Plant) -> None:
+        self._world.set_plant(ids, plant)
 
-    def step(self, command: Array, substeps: int = 1) -> None:
-        command = np.ascontiguousarray(command, dtype=float)
-        if command.shape != (self.num, self.robot.num_cables):
-            expected = (self.num, self.robot.num_cables)
-            raise CdcsrError(f"Commands have the shape (num, cables) = {expected}, not {command.shape}.")
+    def _reset(self, ids: NDArray[np.int64]) -> None:
+        self._world.reset(ids.tolist())
+
+    def _step(self, command: Array, substeps: int) -> None:
         lost = self._world.step(command, substeps)
         if lost:
+            self._stop_commands(np.array([divergence.copy for divergence in lost]))
             raise Diverged(self.engine, lost[0].copy, lost[0].time, lost[0].what)
 
     def state(self) -> State:
@@ -82,7 +82,7 @@ class PybulletSimulation(Simulation):
             joint_rates=world.velocity[:, joints - 1 :].copy(),
         )
 
-    def get_snapshot(self) -> Snapshot:
+    def _get_snapshot(self) -> Snapshot:
         world = self._world
         return Snapshot(
             engine=self.engine,
@@ -93,20 +93,22 @@ class PybulletSimulation(Simulation):
             private=world.tension.copy(),
         )
 
-    def set_snapshot(self, snapshot: Snapshot) -> None:
-        self._check_snapshot(snapshot)
+    def _set_snapshot(self, snapshot: Snapshot) -> None:
         own = snapshot.engine == self.engine
         tension = snapshot.private if own else np.zeros((self.num, self.robot.num_cables))
         self._world.place(snapshot.time, snapshot.position, snapshot.velocity, tension)
 
     def dynamics(self, ids: Ids = None) -> Dynamics:
-        chosen = slice(None) if ids is None else np.asarray(ids, dtype=int)
-        return self._equation(self._world.position[chosen], self._world.velocity[chosen])
+        chosen = self._chosen(ids)
+        return self._equation(self._world.position[chosen], self._world.velocity[chosen], self._plant_of(chosen))
 
     def step_dynamics(self, ids: Ids = None) -> Dynamics:
-        chosen = slice(None) if ids is None else np.asarray(ids, dtype=int)
+        chosen = self._chosen(ids)
         position, velocity = self._world.position[chosen], self._world.velocity[chosen]
-        return kernel_dynamics(self._chain, self._rig, self._rest_length, position, velocity)
+        return kernel_dynamics(self._chain, self._rig, self._plant_of(chosen), self._rest_length, position, velocity)
+
+    def _plant_of(self, chosen: NDArray[np.int64]) -> Plant:
+        return Plant(*(rows[chosen] for rows in self.plant))
 
     def render(self, index: int = 0, camera: str = "side") -> NDArray[np.uint8]:
         return self._renderer.draw(self._world.position[index], camera)

@@ -24,10 +24,11 @@ from numpy.typing import NDArray
 
 from backends.pybullet.world import Divergence, World
 from cdcsr.errors import CdcsrError
+from cdcsr.parameters import Plant
 from cdcsr.robot import Robot
 
 Array = NDArray[np.float64]
-Method = Literal["reset", "place", "step"]
+Method = Literal["set_plant", "reset", "place", "step"]
 
 _START = "import json, sys; sys.path[:] = json.loads(sys.argv[1]); from backends.pybullet.workers import serve; serve()"
 _PATIENCE = 5.0
@@ -48,6 +49,17 @@ class Pool:
         self.velocity = np.zeros((num, robot.num_coordinates))
         self.tension = np.zeros((num, robot.num_cables))
         self._ask([(robot, share.stop - share.start) for share in self._shares])
+
+    def set_plant(self, ids: NDArray[np.int64], plant: Plant) -> None:
+        """Give copies `ids` the numbers in the rows of `plant`."""
+        inside = [(ids >= share.start) & (ids < share.stop) for share in self._shares]
+        self._call(
+            "set_plant",
+            [
+                (ids[mine] - share.start, Plant(*(rows[mine] for rows in plant)))
+                for share, mine in zip(self._shares, inside, strict=True)
+            ],
+        )
 
     def reset(self, ids: Iterable[int]) -> None:
         """Put copies back to the start."""

@@ -13,7 +13,8 @@ from numpy.typing import NDArray
 
 from backends.pybullet.cables import joint_forces, rig
 from backends.pybullet.dynamics import chain
-from backends.pybullet.loading import connect, load_robot_body
+from backends.pybullet.loading import connect, load_robot_body, set_masses
+from cdcsr.parameters import Parameters, Plant
 from cdcsr.robot import Robot
 
 Array = NDArray[np.float64]
@@ -54,7 +55,7 @@ class World:
                 self._clients.append(connect(robot))
             self._bodies.append((self._clients[-1], load_robot_body(robot, self._clients[-1])))
         self._joints = range(robot.num_cables + robot.num_hinges)
-        self._chain, self._rig = chain(robot), rig(robot)
+        self._chain, self._rig, self._plant = chain(robot), rig(robot), Parameters().plant(robot, num)
         self._time_step = robot.time_step
         self.time = np.zeros(num)
         self.position = np.zeros((num, 7 + len(self._joints)))
@@ -66,12 +67,22 @@ class World:
         self._fastest[:3] = robot.arm_length / robot.time_step
         self._fastest[6 : 6 + robot.num_cables] = robot.arm_length / robot.time_step
 
+    def set_plant(self, ids: NDArray[np.int64], plant: Plant) -> None:
+        """Give copies `ids` the numbers in the rows of `plant`."""
+        for mine, new in zip(self._plant, plant, strict=True):
+            mine[ids] = new
+        for row, copy in enumerate(ids.tolist()):
+            client, body = self._bodies[copy]
+            set_masses(client, body, plant, row)
+
     def reset(self, ids: Iterable[int]) -> None:
         """Put copies back to the start."""
+        travel = self._plant.start_travel
         for copy in ids:
             self.time[copy] = 0.0
             self.position[copy] = 0.0
             self.position[copy, 3] = 1.0
+            self.position[copy, 7 : 7 + travel.shape[1]] = travel[copy]
             self.velocity[copy] = 0.0
             self.tension[copy] = 0.0
             self._write(copy)
@@ -95,7 +106,9 @@ class World:
         """
         lost: dict[int, Divergence] = {}
         for _ in range(substeps):
-            joint_forces(self._chain, self._rig, self.position, self.velocity, command, self.tension, self._force)
+            joint_forces(
+                self._chain, self._rig, self._plant, self.position, self.velocity, command, self.tension, self._force
+            )
             for (client, body), force in zip(self._bodies, self._force.tolist(), strict=True):
                 pybullet.setJointMotorControlArray(
                     body, self._joints, pybullet.TORQUE_CONTROL, forces=force, physicsClientId=client

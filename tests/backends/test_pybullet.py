@@ -25,6 +25,7 @@ from backends.pybullet.workers import Pool
 from backends.pybullet.world import World
 from cdcsr.cables import cable_lengths, routing
 from cdcsr.errors import CdcsrError, Diverged
+from cdcsr.parameters import Parameters
 from cdcsr.robot import Robot
 from cdcsr.simulation import Snapshot
 from physics import changed
@@ -140,7 +141,8 @@ def test_forces_solve_the_step_they_are_meant_for(robot: Robot, limit: float) ->
     position, velocity = random_states(robot, 20, bend=0.1, speed=0.5)
     command = np.random.default_rng(2).uniform(-5, 0, (len(position), cables))
     tension, force = np.zeros((len(position), cables)), np.zeros((len(position), robot.num_coordinates - 6))
-    joint_forces(chain(robot), rig(robot), position, velocity, command, tension, force)
+    plant = Parameters().plant(robot, len(position))
+    joint_forces(chain(robot), rig(robot), plant, position, velocity, command, tension, force)
     equation, route = Equation(robot), routing(robot)
     theirs = equation(position, velocity)
     equation.close()

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import pytest
 from scipy import stats
@@ -13,7 +15,7 @@ from cdcsr.simulation import Array
 NUM, STEPS = 200, 100
 
 
-def channel(**strength: float) -> Channel:
+def channel(**strength: Any) -> Channel:
     return Channel(Disturbances(**strength), np.random.default_rng(0))
 
 
@@ -102,6 +104,41 @@ def test_action_noise_has_its_deviation_and_none_is_shared() -> None:
 @pytest.mark.parametrize(
     "bad", [{"action_noise": -0.1}, {"base_noise": -0.1}, {"packet_loss": -0.1}, {"packet_loss": 1.1}]
 )
-def test_impossible_strengths_are_errors(bad: dict[str, float]) -> None:
+def test_impossible_strengths_are_errors(bad: dict[str, Any]) -> None:
     with pytest.raises(CdcsrError, match="packet_loss must lie in"):
         Disturbances(**bad)
+
+
+@pytest.mark.parametrize("bad", [-1, 101, 0.5])
+def test_impossible_delays_are_errors(bad: Any) -> None:
+    with pytest.raises(CdcsrError, match="observation_delay counts whole steps, from 0 to 100"):
+        Disturbances(observation_delay=bad)
+
+
+def test_late_observations_are_those_of_so_many_steps_before() -> None:
+    through, sent = channel(observation_delay=3), observations()
+    np.testing.assert_array_equal(through.start(sent[0], everyone()), sent[0])
+    for step in range(1, 20):
+        np.testing.assert_array_equal(through.observe(sent[step]), sent[max(step - 3, 0)])
+
+
+def test_a_new_episode_receives_nothing_late_of_the_old_one() -> None:
+    through, sent = channel(observation_delay=2), observations()
+    through.start(sent[0], everyone())
+    for step in range(1, 10):
+        through.observe(sent[step])
+    fresh, first = np.arange(NUM) % 3 == 0, sent[50]  # the step that ended the old one has been observed
+    received = [through.start(first, fresh)] + [through.observe(sent[step]) for step in range(10, 14)]
+    expected = [(7, 50), (8, 50), (9, 50), (10, 10), (11, 11)]
+    for row, (old, new) in zip(received, expected, strict=True):
+        np.testing.assert_array_equal(row, np.where(fresh[:, None], sent[new], sent[old]))
+
+
+def test_what_is_late_may_also_be_lost() -> None:
+    through, sent = channel(observation_delay=1, packet_loss=0.5), observations()
+    last = through.start(sent[0], everyone())
+    for step in range(1, 30):
+        received = through.observe(sent[step])
+        arrived = (received == sent[step - 1]).all(axis=1)
+        np.testing.assert_array_equal(received[~arrived], last[~arrived])
+        last = received
