@@ -22,6 +22,7 @@ import tomli_w
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field, Strict, ValidationError, model_validator
 from pydantic_core import InitErrorDetails, PydanticCustomError
 
+from cdcsr.diagnosis import again, describe
 from cdcsr.errors import CdcsrError, unknown_choice
 
 Positive = Annotated[float, Field(gt=0)]
@@ -168,7 +169,7 @@ class Robot(Part):
         try:
             robot = handler(data)
         except ValidationError as error:
-            errors += [_again(line) for line in error.errors()]
+            errors += [again(line) for line in error.errors()]
         if robot is None:
             errors += list(_cross_errors(data))
         else:
@@ -248,7 +249,7 @@ def parse_robot(text: str, source: str = "<text>") -> Robot:
     try:
         return Robot.model_validate(data)
     except ValidationError as error:
-        lines = [_describe(text, line) for line in error.errors()]
+        lines = [describe(text, line) for line in error.errors()]
         count = f"{len(lines)} error" + "s" * (len(lines) != 1)
         raise CdcsrError(f"{source}: {count} in the robot description: " + "; ".join(lines)) from None
 
@@ -324,46 +325,3 @@ def _cross_errors(data: Any) -> Iterator[InitErrorDetails]:
                 ("segments", i, "servo", "offset"),
                 f"puts the slider outside the base: must be at most {height - offset:g} m",
             )
-
-
-def _again(line: Any) -> InitErrorDetails:
-    """A reported error as the input for a new report."""
-    kind = PydanticCustomError("error", "{message}", {"message": _message(line)})
-    return InitErrorDetails(type=kind, loc=line["loc"], input=line["input"])
-
-
-def _message(line: Any) -> str:
-    if line["type"] == "extra_forbidden":
-        return "unknown key"
-    return line["msg"].removeprefix("Value error, ").removeprefix("Input ")
-
-
-def _describe(text: str, line: Any) -> str:
-    place = "".join(f"[{p}]" if isinstance(p, int) else f".{p}" for p in line["loc"]).lstrip(".")
-    number = _line_number(text, line["loc"])
-    where = f"line {number}, {place}" if number else place
-    found = line["input"]
-    shown = f" (found {found!r})" if isinstance(found, int | float | str | list | tuple) else ""
-    return f"{where}: {_message(line)}{shown}"
-
-
-def _line_number(text: str, place: tuple[str | int, ...]) -> int | None:
-    """The line that sets `place`, or else opens the innermost table around it."""
-    counts: dict[str, int] = {}
-    table: list[str | int] = []
-    best, best_depth = None, 0
-    for number, raw in enumerate(text.splitlines(), start=1):
-        line = raw.split("#")[0].strip()
-        if line.startswith("["):
-            keys = line.strip("[] \t").replace(" ", "").split(".")
-            if line.startswith("[["):
-                counts[keys[0]] = counts.get(keys[0], -1) + 1
-            table = [keys[0], counts[keys[0]], *keys[1:]] if keys[0] in counts else list(keys)
-            here = tuple(table)
-        elif "=" in line:
-            here = (*table, *line.split("=")[0].strip().replace(" ", "").split("."))
-        else:
-            continue
-        if here == place[: len(here)] and len(here) > best_depth:
-            best, best_depth = number, len(here)
-    return best
