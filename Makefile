@@ -4,12 +4,13 @@ BIN := .venv/bin
 INSTALLED := .venv/.installed
 
 .DEFAULT_GOAL := help
-.PHONY: help setup check test test-all demo clean
+.PHONY: help setup check test test-all demo bench clean
 
 help:
 	@echo "make demo      train a small policy and show it in both engines, into demo/"
 	@echo "make test      checks, then the fast tests"
 	@echo "make test-all  checks, then every test"
+	@echo "make bench     speed, as ratios within one process"
 	@echo "make check     lint, format, types, import contracts"
 	@echo "make setup     create .venv with the versions in constraints.txt"
 	@echo "make clean     remove .venv, caches and build files"
@@ -46,6 +47,10 @@ test-all: check
 demo: setup
 	@echo "==> demo"
 	@$(BIN)/cdcsr demo --out demo
+
+bench: setup
+	@echo "==> bench"
+	@$(BIN)/cdcsr bench
 
 clean:
 	@echo "==> removing .venv, caches and build files"

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from cdcsr.robot import Robot
@@ -164,35 +164,44 @@ def _controller(name: str, robot: str) -> tuple[Controller, Robot]:
 
 
 def bench(*, json: Path | None = None) -> None:
-    """Measure speed, each as a ratio within one process.
+    """Measure speed and memory, times as ratios within one process.
 
-    Needs the development dependencies (stable-baselines3).
+    Needs the development dependencies (stable-baselines3), and a system with the `resource` module for memory.
 
     Args:
         json: also write the numbers to this file.
     """
     from backends.mujoco.bench import vector_env_speed
     from backends.pybullet.bench import step_cost
+    from backends.scaling import growth, memory_per_copy, worker_gain
     from cdcsr.errors import CdcsrError
     from cdcsr.files import write_json
     from cdcsr.robot import load_robot
     from training.bench import update_speed
 
+    results: dict[str, dict[str, Any]] = {}
+
+    def row(name: str, result: dict[str, Any], key: str, what: str) -> None:
+        results[name] = result
+        print(f"{result[key]:6.2f}  {what}", flush=True)
+
     robot = load_robot("paper")
-    results = {"vector_env": vector_env_speed(robot), "pybullet_step": step_cost(robot)}
+    for copies in (32, 256):
+        what = f"MuJoCo vector environment, {copies} copies: steps/s over bare mujoco.batch"
+        row(f"vector_env_{copies}", vector_env_speed(robot, copies), "ratio", what)
+    row("pybullet_step", step_cost(robot), "ratio", "PyBullet: cost of a step over bare stepSimulation")
+    row("workers", {"ratio": worker_gain(robot)}, "ratio", "PyBullet, 32 copies: steps/s with two workers over one")
+    for backend in ("mujoco", "pybullet"):
+        cost = growth(robot, backend)
+        row(f"growth_{backend}", cost, "links_exponent", f"{backend}: exponent of a step's cost in links, 6 to 48")
+        print(f"{cost['segments_exponent']:6.2f}  ... in segments, 1 to 4, twelve links")
+        memory = {"mb": memory_per_copy(robot, backend)}
+        row(f"memory_{backend}", memory, "mb", f"{backend}: MB of peak memory for each further copy")
     try:
-        results["update"] = update_speed()
+        update = update_speed()
     except ModuleNotFoundError as error:
         raise CdcsrError(f"{error.name} is needed to compare with; install the development dependencies.") from None
-    rows = [
-        ("MuJoCo vector environment, 32 copies: steps/s over bare mujoco.batch", results["vector_env"]["ratio"]),
-        ("PyBullet: cost of a step over bare stepSimulation", results["pybullet_step"]["ratio"]),
-        (
-            "BATD3 update (E = 5, 3 x 256, batch 256): updates/s over stable-baselines3's TD3",
-            results["update"]["ratio"],
-        ),
-    ]
-    for what, ratio in rows:
-        print(f"{ratio:6.2f}  {what}")
+    what = "BATD3 update (E = 5, 3 x 256, batch 256): updates/s over stable-baselines3's TD3"
+    row("update", update, "ratio", what)
     if json is not None:
         write_json(json, results)

@@ -1,0 +1,96 @@
+"""How cost grows: with links, with segments, with copies, and with worker processes."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+import time
+from typing import Any
+
+import numpy as np
+
+from backends.pybullet.simulation import PybulletSimulation
+from cdcsr.robot import Robot
+from cdcsr.simulation import make_simulation
+
+LINKS = (6, 12, 24, 48)
+SEGMENTS = (1, 2, 3, 4)
+
+
+def resized(robot: Robot, segments: int, links: int) -> Robot:
+    """A robot of so many segments with so many links in all, its parts those of the first segment of `robot`."""
+    data = robot.model_dump()
+    segment = data["segments"][0]
+    data["segments"] = [segment | {"links": len(part)} for part in np.array_split(np.arange(links), segments)]
+    return Robot.model_validate(data)
+
+
+def step_seconds(robot: Robot, backend: str, copies: int = 4, steps: int = 40, rounds: int = 5) -> float:
+    """Median time of one step of one copy, in [s], under gentle random commands."""
+    simulation = make_simulation(robot, backend, copies)
+    commands = -0.2 * np.random.default_rng(0).random((steps, copies, robot.num_cables))
+    simulation.step(commands[0])
+    times = []
+    for _ in range(rounds):
+        simulation.reset()
+        start = time.perf_counter()
+        for command in commands:
+            simulation.step(command)
+        times.append(time.perf_counter() - start)
+    simulation.close()
+    return float(np.median(times)) / (steps * copies)
+
+
+def exponent(sizes: tuple[int, ...], seconds: list[float]) -> float:
+    """The p of the best fit of cost ~ size^p."""
+    return float(np.polyfit(np.log(sizes), np.log(seconds), 1)[0])
+
+
+def growth(robot: Robot, backend: str) -> dict[str, Any]:
+    """Cost of a step against the number of links (two segments) and of segments (twelve links), with exponents."""
+    by_links = [step_seconds(resized(robot, 2, links), backend) for links in LINKS]
+    by_segments = [step_seconds(resized(robot, segments, 12), backend) for segments in SEGMENTS]
+    return {
+        "links": dict(zip(LINKS, (1e6 * s for s in by_links), strict=True)),
+        "links_exponent": exponent(LINKS, by_links),
+        "segments": dict(zip(SEGMENTS, (1e6 * s for s in by_segments), strict=True)),
+        "segments_exponent": exponent(SEGMENTS, by_segments),
+    }
+
+
+def worker_gain(robot: Robot, copies: int = 32, steps: int = 40, rounds: int = 5) -> float:
+    """Steps per second of PyBullet with two worker processes over one, taking turns."""
+    simulations = [PybulletSimulation(robot, copies, workers=workers) for workers in (1, 2)]
+    commands = -np.random.default_rng(0).random((steps, copies, robot.num_cables))
+    times: list[list[float]] = []
+    for _ in range(rounds + 1):
+        times.append([])
+        for simulation in simulations:
+            simulation.reset()
+            start = time.perf_counter()
+            for command in commands:
+                simulation.step(command)
+            times[-1].append(time.perf_counter() - start)
+    for simulation in simulations:
+        simulation.close()
+    one, two = np.median(times[1:], axis=0)  # the first round compiles
+    return float(one / two)
+
+
+def memory_per_copy(robot: Robot, backend: str, copies: int = 64) -> float:
+    """Growth of a process's peak memory for each further copy, in [MB]; each count in a process of its own."""
+    alone = ", workers=0" if backend == "pybullet" else ""  # memory of workers would not be seen
+    code = (
+        "import resource, sys, numpy; from cdcsr.robot import parse_robot; from cdcsr.simulation import load_backend; "
+        f"s = load_backend(sys.argv[1])(parse_robot(sys.stdin.read()), int(sys.argv[2]){alone}); "
+        "s.step(numpy.zeros((s.num, s.robot.num_cables))); s.close(); "
+        "print(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss)"
+    )
+    peaks = []
+    for count in (1, 1 + copies):
+        done = subprocess.run(
+            [sys.executable, "-c", code, backend, str(count)],
+            input=robot.to_toml(), capture_output=True, text=True, check=True,
+        )  # fmt: skip
+        peaks.append(int(done.stdout))
+    return (peaks[1] - peaks[0]) / copies / 1024
