@@ -38,11 +38,11 @@ check: setup
 
 test: check
 	@echo "==> fast tests"
-	@$(BIN)/pytest -n auto
+	@OMP_NUM_THREADS=1 $(BIN)/pytest -n auto
 
 test-all: check
 	@echo "==> all tests"
-	@$(BIN)/pytest -n auto -m 'slow or not slow'
+	@OMP_NUM_THREADS=1 $(BIN)/pytest -n auto -m 'slow or not slow'
 
 demo: setup
 	@echo "==> demo"

@@ -77,8 +77,11 @@ def worker_gain(robot: Robot, copies: int = 32, steps: int = 40, rounds: int = 5
     return float(one / two)
 
 
-def memory_per_copy(robot: Robot, backend: str, copies: int = 64) -> float:
-    """Growth of a process's peak memory for each further copy, in [MB]; each count in a process of its own."""
+def memory_per_copy(robot: Robot, backend: str, copies: int) -> float:
+    """Growth of a process's peak memory for each further copy, in [MB]; each count in a process of its own.
+
+    `copies` must be enough to rise above the peak of starting up.
+    """
     alone = ", workers=0" if backend == "pybullet" else ""  # memory of workers would not be seen
     code = (
         "import resource, sys, numpy; from cdcsr.robot import parse_robot; from cdcsr.simulation import load_backend; "
