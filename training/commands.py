@@ -191,7 +191,7 @@ def bench(*, json: Path | None = None) -> None:
         row(f"vector_env_{copies}", vector_env_speed(robot, copies), "ratio", what)
     row("pybullet_step", step_cost(robot), "ratio", "PyBullet: cost of a step over bare stepSimulation")
     row("workers", {"ratio": worker_gain(robot)}, "ratio", "PyBullet, 32 copies: steps/s with two workers over one")
-    for backend, copies in (("mujoco", 512), ("pybullet", 64)):
+    for backend, copies in (("mujoco", 2048), ("pybullet", 64)):
         cost = growth(robot, backend)
         row(f"growth_{backend}", cost, "links_exponent", f"{backend}: exponent of a step's cost in links, 6 to 48")
         print(f"{cost['segments_exponent']:6.2f}  ... in segments, 1 to 4, twelve links")
