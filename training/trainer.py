@@ -18,6 +18,8 @@ from cdcsr.envs import ReachVectorEnv
 from cdcsr.errors import CdcsrError
 from cdcsr.files import write_json
 from cdcsr.robot import Robot, load_robot
+from cdcsr.simulation import load_backend
+from cdcsr.spaces import make_space
 from cdcsr.tasks import observation_size
 from controllers import demonstrations
 from controllers.demonstrations import Episode
@@ -59,6 +61,8 @@ class Run:
     def __init__(self, config: Train) -> None:
         self.config, self.folder = config, config.out
         self.robot: Robot = load_robot(config.robot)
+        load_backend(config.backend)  # what is misspelt must not leave a folder behind
+        make_space(config.space, self.robot)
         self._claim_folder()
         self.episodes = self._demonstrations()
         self.centers = np.array([episode.target for episode in self.episodes])

@@ -102,6 +102,13 @@ def test_a_damaged_state_is_one_clear_line(tmp_path: Path, demonstrations: Path)
         train(config)
 
 
+@pytest.mark.parametrize("misspelt", [{"backend": "mujco"}, {"space": "anker"}, {"robot": "papre"}])
+def test_a_misspelt_name_leaves_no_folder(tmp_path: Path, demonstrations: Path, misspelt: dict[str, str]) -> None:
+    with pytest.raises(CdcsrError, match="Unknown"):
+        train(_config(tmp_path / "run", demonstrations, **misspelt))
+    assert not (tmp_path / "run").exists()
+
+
 def test_demonstrations_of_another_robot_are_refused(tmp_path: Path, demonstrations: Path) -> None:
     with pytest.raises(CdcsrError, match="are of robot 'paper'"):
         train(_config(tmp_path / "run", demonstrations, robot="three-cable"))
