@@ -61,10 +61,11 @@ class Run:
     def __init__(self, config: Train) -> None:
         self.config, self.folder = config, config.out
         self.robot: Robot = load_robot(config.robot)
-        load_backend(config.backend)  # what is misspelt must not leave a folder behind
+        # What is misspelt or does not fit must not leave a folder behind.
+        load_backend(config.backend)
         make_space(config.space, self.robot)
-        self._claim_folder()
         self.episodes = self._demonstrations()
+        self._claim_folder()
         self.centers = np.array([episode.target for episode in self.episodes])
         self.started = time.monotonic()
         self.minutes_before = 0.0

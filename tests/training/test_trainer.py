@@ -112,6 +112,7 @@ def test_a_misspelt_name_leaves_no_folder(tmp_path: Path, demonstrations: Path, 
 def test_demonstrations_of_another_robot_are_refused(tmp_path: Path, demonstrations: Path) -> None:
     with pytest.raises(CdcsrError, match="are of robot 'paper'"):
         train(_config(tmp_path / "run", demonstrations, robot="three-cable"))
+    assert not (tmp_path / "run").exists()
 
 
 @pytest.mark.parametrize(
