@@ -274,6 +274,18 @@ def load_backend(name: str) -> type[Simulation]:
     raise CdcsrError(unknown_choice("backend", name, backend_names()))
 
 
+def chosen_backends(name: str) -> list[str]:
+    """The engines a user means by a name, or by "all".
+
+    Raises:
+        CdcsrError: one is not installed; said before the work, not in the midst of it.
+    """
+    names = backend_names() if name == "all" else [name]
+    for each in names:
+        load_backend(each)
+    return names
+
+
 def make_simulation(robot: Robot, backend: str, num: int = 1) -> Simulation:
     """A simulation of `num` copies in the engine of that name."""
     return load_backend(backend)(robot, num)

@@ -83,16 +83,13 @@ def replay(
     """
     from cdcsr.files import write_json
     from cdcsr.robot import load_robot
-    from cdcsr.simulation import backend_names, load_backend
+    from cdcsr.simulation import chosen_backends
     from controllers import demonstrations
     from controllers.replay import replay as run
 
     description = load_robot(robot)
     episodes = demonstrations.load(dataset, description.fingerprint)
-    backends = backend_names() if backend == "all" else [backend]
-    for name in backends:
-        load_backend(name)
-    results = [run(description, name, episodes).as_dict() for name in backends]
+    results = [run(description, name, episodes).as_dict() for name in chosen_backends(backend)]
     print(f"{len(episodes)} recorded episodes, replayed without feedback; distance of the tip from the recording:")
     for result in results:
         print(

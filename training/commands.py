@@ -116,14 +116,12 @@ def _report(
     """Measure, print the table, and write the JSON file."""
     from cdcsr.disturbances import Disturbances
     from cdcsr.files import write_json
-    from cdcsr.simulation import backend_names, load_backend
+    from cdcsr.simulation import chosen_backends
     from training.evaluation import TEST_SEED
     from training.transfer import Cell, disagreements, format_table
     from training.transfer import transfer as measure
 
-    backends = backend_names() if backend == "all" else [backend]
-    for name in backends:
-        load_backend(name)  # an unknown engine is an error before the work, not in the midst of it
+    backends = chosen_backends(backend)
     assert disturbances is None or isinstance(disturbances, Disturbances)
 
     def progress(cell: Cell) -> None:

@@ -2,10 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from typing import Any
+
 import pytest
 
 from cdcsr.robot import Robot, load_robot, shipped_robots
-from cdcsr.simulation import backend_names
+from cdcsr.simulation import Simulation, backend_names, load_backend
+from physics import Make
 
 
 @pytest.fixture(params=backend_names())
@@ -21,3 +25,17 @@ def robot(request: pytest.FixtureRequest) -> Robot:
 @pytest.fixture
 def paper() -> Robot:
     return load_robot("paper")
+
+
+@pytest.fixture
+def make() -> Iterator[Make]:
+    """Makes simulations in the engine of a name, and closes them."""
+    made: list[Simulation] = []
+
+    def simulation(engine: str, *arguments: Any, **options: Any) -> Simulation:
+        made.append(load_backend(engine)(*arguments, **options))
+        return made[-1]
+
+    yield simulation
+    for each in made:
+        each.close()

@@ -5,7 +5,7 @@ Nothing here knows an engine; everything is measured through the contract.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from typing import Any
 
@@ -15,6 +15,9 @@ from scipy.spatial.transform import Rotation
 from cdcsr.cables import cable_lengths, routing
 from cdcsr.robot import Robot
 from cdcsr.simulation import Array, Simulation, Snapshot, make_simulation
+
+Make = Callable[..., Simulation]
+"""Makes a simulation in the engine of a name: engine, robot, num."""
 
 
 @contextmanager

@@ -2,41 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
-
 import numpy as np
 import pytest
 
 from cdcsr.errors import Diverged
 from cdcsr.parameters import Parameters
 from cdcsr.robot import Robot, load_robot
-from cdcsr.simulation import Array, Simulation, backend_names, make_simulation
-
-Make = Callable[[str, Robot, int], Simulation]
+from cdcsr.simulation import Array, backend_names
+from physics import Make
 
 
 @pytest.fixture(scope="module")
 def paper() -> Robot:
     return load_robot("paper")
-
-
-@pytest.fixture(params=backend_names())
-def engine(request: pytest.FixtureRequest) -> str:
-    return request.param
-
-
-@pytest.fixture
-def make() -> Iterator[Make]:
-    """Makes simulations in the engine of a name, and closes them."""
-    made: list[Simulation] = []
-
-    def simulation(engine: str, robot: Robot, num: int) -> Simulation:
-        made.append(make_simulation(robot, engine, num))
-        return made[-1]
-
-    yield simulation
-    for each in made:
-        each.close()
 
 
 def commands_of(robot: Robot, steps: int, num: int = 1) -> Array:

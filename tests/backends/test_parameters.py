@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Callable, Iterator
 from typing import Any
 
 import numpy as np
@@ -16,34 +15,15 @@ from cdcsr.delays import MAX_DELAY
 from cdcsr.errors import CdcsrError
 from cdcsr.parameters import Parameters
 from cdcsr.robot import Robot, load_robot, shipped_robots
-from cdcsr.simulation import Array, Simulation, Snapshot, backend_names, load_backend
+from cdcsr.simulation import Array, Simulation, Snapshot
+from physics import Make
 
 STEPS = 60
-Make = Callable[..., Simulation]
 
 
 @pytest.fixture(scope="module")
 def paper() -> Robot:
     return load_robot("paper")
-
-
-@pytest.fixture(params=backend_names())
-def engine(request: pytest.FixtureRequest) -> str:
-    return request.param
-
-
-@pytest.fixture
-def make() -> Iterator[Make]:
-    """Makes simulations in the engine of a name, and closes them."""
-    made: list[Simulation] = []
-
-    def simulation(engine: str, *arguments: Any, **options: Any) -> Simulation:
-        made.append(load_backend(engine)(*arguments, **options))
-        return made[-1]
-
-    yield simulation
-    for each in made:
-        each.close()
 
 
 def commands_of(robot: Robot, steps: int, num: int = 1, seed: int = 0) -> Array:
