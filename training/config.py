@@ -28,9 +28,14 @@ class Learner:
     """LayerNorm before each hidden activation of the critics."""
     learning_rate: float = 1e-4
     """Of actor and critics (Adam)."""
+    final_learning_rate: float = 1.0
+    """Part of it that is left at the end of the run, to which it falls linearly."""
     batch_size: int = 256
     discount: float = 0.99
     """gamma, per action."""
+    step_cost: float = 0.0
+    """Taken from the reward of each action. With gamma = 1 the value of a state from which T actions are needed is
+    1 - T step_cost: no less sparse, but as steep far from the target as near it."""
     return_steps: int = 1
     """n of the n-step return; it bootstraps through time limits."""
     soft_update: float = 0.01
@@ -77,6 +82,8 @@ class Learner:
     """Updates after each step of the environments."""
     exploration_noise: float = 0.1
     """Standard deviation of exploration noise on the action, which spans [-1, 1]."""
+    noise_ladder: bool = False
+    """Environments differ in that deviation: it goes evenly from zero to twice what it says."""
     noise_hold: int = 1
     """Actions for which one draw of exploration noise is held."""
     updates: int = 100_000

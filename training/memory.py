@@ -77,4 +77,5 @@ class Memory:
 
     def _store(self, replay: Replay, episode: FinishedEpisode) -> None:
         clone = None if self._clone is None else self._clone(episode.observations)
-        replay.add_episode(episode.observations, episode.actions, episode.rewards, episode.success, clone)
+        rewards = episode.rewards - self._learner.step_cost
+        replay.add_episode(episode.observations, episode.actions, rewards, episode.success, clone)

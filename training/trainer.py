@@ -27,7 +27,7 @@ from training.algorithms import ALGORITHMS, BehaviourCloning
 from training.algorithms.bc import Progress, imitate
 from training.algorithms.td3 import TD3
 from training.checkpoints import load_state, save_state
-from training.collector import Collector, FinishedEpisode
+from training.collector import Collector, FinishedEpisode, exploration_noise
 from training.config import Train
 from training.evaluation import VALIDATION_SEED, Result, evaluate
 from training.memory import Memory
@@ -167,7 +167,7 @@ class Run:
         algorithm = ALGORITHMS[config.algorithm](self.robot, learner, self.torch_generator)
         env = self._env(learner.num_envs, config.space)
         streams = np.random.default_rng(config.seed).spawn(3)
-        collector = Collector(env, learner.exploration_noise, learner.noise_hold, streams[0])
+        collector = Collector(env, exploration_noise(learner), learner.noise_hold, streams[0])
         memory = Memory(self.robot, learner, None if clone is None else clone.actions, env.task.threshold)
         state_path = self.folder / "state.safetensors"
         counters: dict[str, Any] = {"update": 0, "environment_steps": 0, "minutes": 0.0, "recent": []}

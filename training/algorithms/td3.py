@@ -67,6 +67,7 @@ class TD3:
             Scalars worth logging.
         """
         self.updates += 1
+        self._set_learning_rate()
         encoded = self.actor.encoder(batch.observation)
         with torch.no_grad():
             value = self.next_value(self.actor.encoder(batch.next_observation), batch)
@@ -81,6 +82,13 @@ class TD3:
         if self.updates % self.learner.policy_delay == 0:
             metrics["actor_loss"] = self._update_actor(encoded, batch)
         return metrics
+
+    def _set_learning_rate(self) -> None:
+        learner = self.learner
+        gone = min(1.0, self.updates / learner.updates) * (1 - learner.final_learning_rate)
+        for optimizer in (self.actor_optimizer, self.critic_optimizer):
+            for group in optimizer.param_groups:
+                group["lr"] = learner.learning_rate * (1 - gone)
 
     def next_value(self, encoded: Tensor, batch: Batch) -> Tensor:  # noqa: ARG002 (for variants)
         """Value to bootstrap from at the end of each transition, shape (B,): TD3's smoothed target policy."""
