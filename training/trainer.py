@@ -28,7 +28,7 @@ from training.algorithms import ALGORITHMS, BehaviourCloning
 from training.algorithms.td3 import TD3
 from training.checkpoints import load_state, save_state
 from training.collector import Collector
-from training.config import Train
+from training.config import Learner, Train
 from training.evaluation import VALIDATION_SEED, Result, evaluate
 from training.metrics import Metrics
 from training.networks import Actor
@@ -36,9 +36,6 @@ from training.policy import Policy, load_policy
 from training.replay import Replay
 
 Array = NDArray[np.float64]
-
-DEMONSTRATIONS = 10
-"""How many are recorded if none are given."""
 
 
 def train(config: Train) -> Policy:
@@ -91,7 +88,8 @@ class Run:
         path, identity = self.folder / "config.json", {**self.config.identity(), "fingerprint": self.robot.fingerprint}
         if self.folder.exists() and not self.config.force:
             if not path.is_file():
-                if any(self.folder.iterdir()):
+                # What starts with a dot is a file that a run killed at its very start was still writing.
+                if any(not entry.name.startswith(".") for entry in self.folder.iterdir()):
                     raise CdcsrError(f"{self.folder} exists and is not a training run; give another folder.")
             else:
                 _refuse_other_run(path, identity)
@@ -111,9 +109,10 @@ class Run:
         config = self.config
         if config.demonstrations is not None:
             return demonstrations.load(config.demonstrations, self.robot.fingerprint, config.frame_skip)
-        print(f"Recording {DEMONSTRATIONS} demonstrations in {config.backend} (seed 0)", flush=True)
-        env = self._env(DEMONSTRATIONS, "anchor", autoreset="Disabled")
-        episodes, _ = demonstrations.record(JacobianController(self.robot), env, DEMONSTRATIONS, seed=0)
+        num = config.num_demonstrations
+        print(f"Recording {num} demonstrations in {config.backend} (seed 0)", flush=True)
+        env = self._env(num, "anchor", autoreset="Disabled")
+        episodes, _ = demonstrations.record(JacobianController(self.robot), env, num, seed=0)
         env.close()
         return episodes
 
@@ -224,8 +223,9 @@ class Run:
         if stopped:
             print(f"Stopped after update {counters['update']}; the same options go on from here.")
             return load_policy(self.folder)
+        policy = self._finish(algorithm.policy, learner.updates, learner.updates * learner.num_envs)
         state_path.unlink(missing_ok=True)
-        return self._finish(algorithm.policy, learner.updates, learner.updates * learner.num_envs)
+        return policy
 
     def _measure(self, actor: Actor, counters: dict[str, Any], recent: deque[bool], meter: _Meter) -> dict[str, float]:
         """Save the policy as it is now; one row of metrics, with its success rate on validation targets."""
@@ -326,8 +326,9 @@ def _refuse_other_run(path: Path, identity: dict[str, Any]) -> None:
         found = json.loads(path.read_text("utf-8"))
     except (OSError, ValueError) as error:
         raise CdcsrError(f"{path} cannot be read ({error}); give another folder, or --force.") from None
-    if found != identity:
-        flat_found, flat_asked = _flat(found), _flat(identity)
+    # An option younger than the run had the value then that is its default now.
+    flat_found, flat_asked = {**_flat(Train(path, learner=Learner()).identity()), **_flat(found)}, _flat(identity)
+    if flat_found != flat_asked:
         differing = sorted(k for k in flat_found.keys() | flat_asked.keys() if flat_found.get(k) != flat_asked.get(k))
         raise CdcsrError(
             f"{path.parent} holds a run with other options ({', '.join(differing)}); give the same ones to resume it, "
