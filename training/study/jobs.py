@@ -8,6 +8,7 @@ from __future__ import annotations
 import json
 import os
 import shutil
+import signal
 import sys
 import threading
 from dataclasses import asdict, dataclass
@@ -186,6 +187,7 @@ def do_job(*, job: str, runs: Path = Path("runs/study"), results: Path = Path("r
         results: folder of the results.
         until_stdin_ends: end at once when standard input does: when the process that writes to it has died.
     """
+    signal.signal(signal.SIGTERM, lambda *_: sys.exit(128 + signal.SIGTERM))  # gives its lock back on the way out
     if until_stdin_ends:
         threading.Thread(target=_end_with_stdin, daemon=True).start()
     carry_out(Job.from_json(job), runs, results)
