@@ -34,7 +34,7 @@ def _batch(robot: Robot, seed: int = 0) -> Batch:
 
     return Batch(
         uniform(_SIZE, size), uniform(_SIZE, cables), torch.rand(_SIZE, generator=generator),
-        torch.tensor([0.9, 0.0, 0.81, 0.9]), uniform(_SIZE, size), uniform(_SIZE, cables),
+        torch.tensor([0.9, 0.0, 0.81, 0.9]), uniform(_SIZE, size), uniform(_SIZE, cables), uniform(_SIZE, cables),
     )  # fmt: skip
 
 
@@ -143,7 +143,7 @@ def test_saturated_actor_pays(robot: Robot) -> None:
     encoded = td3.actor.encoder(batch.observation)
     value = td3.critics(encoded, td3.actor(encoded)).mean()
     # |z| = 5 everywhere: (5 - 3)^2 = 4, times the weight.
-    assert td3.actor_loss(encoded).item() == pytest.approx(-value.item() + 2.0, rel=1e-5)
+    assert td3.actor_loss(encoded, batch).item() == pytest.approx(-value.item() + 2.0, rel=1e-5)
 
 
 def test_clone_learns_a_known_policy(robot: Robot) -> None:

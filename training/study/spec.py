@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from cdcsr.errors import CdcsrError, unknown_choice
-from training.config import PRESETS, Learner, PresetName, Train
+from training.config import PRESETS, Learner, PresetName, Train, learner_for
 
 SCRIPTED = "jacobian"
 """The algorithm of a run that trains nothing: the scripted demonstrator."""
@@ -31,7 +31,7 @@ class RunSpec:
     randomize: float = 0.0
     """Scale of the randomization of the plant in training."""
     switches: tuple[tuple[str, Any], ...] = ()
-    """Numbers of the learner that are not the preset's: (field, value), in the order of their names."""
+    """Numbers of the learner that are changed from the preset's: (field, value), in the order of their names."""
 
     def __post_init__(self) -> None:
         if self.preset not in PRESETS:
@@ -67,7 +67,7 @@ class RunSpec:
 
     def train(self, out: Path) -> Train:
         """The training run, in the folder `out`."""
-        learner = replace(PRESETS[self.preset], updates=self.updates, **dict(self.switches))
+        learner = replace(learner_for(self.algorithm, self.preset), updates=self.updates, **dict(self.switches))
         # Given only where they are not the default.
         options: dict[str, Any] = {}
         if self.task != "reach":
