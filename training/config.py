@@ -160,7 +160,9 @@ class Train:
     frame_skip: int = 1
     """Simulation steps each action is held for."""
     demonstrations: Path | None = None
-    """A dataset made by `cdcsr demonstrate`; by default ten are recorded in the engine, seed 0."""
+    """A dataset made by `cdcsr demonstrate`; by default they are recorded in the engine, seed 0."""
+    num_demonstrations: int = 10
+    """How many are recorded if no dataset is given."""
     seed: int = 0
     """Of everything random in the run but the demonstrations."""
     evaluate_every: int = 1_000
@@ -182,6 +184,7 @@ class Train:
                 f"target_critics must be between 1 and critics ({learner.critics}), not {learner.target_critics}."
             )
         counts = {
+            "num_demonstrations": self.num_demonstrations,
             "batch_size": learner.batch_size,
             "return_steps": learner.return_steps,
             "policy_delay": learner.policy_delay,

@@ -8,6 +8,7 @@ from typing import Any
 
 from cdcsr.errors import CdcsrError
 from cdcsr.files import write_json
+from training.config import Learner, Train
 
 CONFIG = "config.json"
 
@@ -26,7 +27,8 @@ def claim_folder(folder: Path, identity: dict[str, Any], force: bool) -> None:
     path = folder / CONFIG
     if folder.exists() and not force:
         if not path.is_file():
-            if any(folder.iterdir()):
+            # What starts with a dot is a file that a run killed at its very start was still writing.
+            if any(not entry.name.startswith(".") for entry in folder.iterdir()):
                 raise CdcsrError(f"{folder} exists and is not a training run; give another folder.")
         else:
             _refuse_other_run(path, identity)
@@ -48,8 +50,9 @@ def _refuse_other_run(path: Path, identity: dict[str, Any]) -> None:
         found = json.loads(path.read_text("utf-8"))
     except (OSError, ValueError) as error:
         raise CdcsrError(f"{path} cannot be read ({error}); give another folder, or --force.") from None
-    if found != identity:
-        flat_found, flat_asked = _flat(found), _flat(identity)
+    # An option younger than the run had the value then that is its default now.
+    flat_found, flat_asked = {**_flat(Train(path, learner=Learner()).identity()), **_flat(found)}, _flat(identity)
+    if flat_found != flat_asked:
         differing = sorted(k for k in flat_found.keys() | flat_asked.keys() if flat_found.get(k) != flat_asked.get(k))
         raise CdcsrError(
             f"{path.parent} holds a run with other options ({', '.join(differing)}); give the same ones to resume it, "

@@ -38,9 +38,6 @@ from training.run_folder import claim_folder
 
 Array = NDArray[np.float64]
 
-DEMONSTRATIONS = 10
-"""How many are recorded if none are given."""
-
 
 def train(config: Train) -> Policy:
     """Carry out a run, or go on with one that was interrupted.
@@ -92,9 +89,10 @@ class Run:
         config = self.config
         if config.demonstrations is not None:
             return demonstrations.load(config.demonstrations, self.robot.fingerprint, config.frame_skip)
-        print(f"Recording {DEMONSTRATIONS} demonstrations in {config.backend} (seed 0)", flush=True)
-        env = self._env(DEMONSTRATIONS, "anchor", autoreset="Disabled")
-        episodes, _ = demonstrations.record(JacobianController(self.robot), env, DEMONSTRATIONS, seed=0)
+        num = config.num_demonstrations
+        print(f"Recording {num} demonstrations in {config.backend} (seed 0)", flush=True)
+        env = self._env(num, "anchor", autoreset="Disabled")
+        episodes, _ = demonstrations.record(JacobianController(self.robot), env, num, seed=0)
         env.close()
         return episodes
 
@@ -212,8 +210,9 @@ class Run:
         if stopped:
             print(f"Stopped after update {counters['update']}; the same options go on from here.")
             return load_policy(self.folder)
+        policy = self._finish(algorithm.policy, learner.updates, self._environment_steps(learner.updates))
         state_path.unlink(missing_ok=True)
-        return self._finish(algorithm.policy, learner.updates, self._environment_steps(learner.updates))
+        return policy
 
     def _measure(self, actor: Actor, counters: dict[str, Any], recent: deque[bool], meter: Meter) -> dict[str, float]:
         """Save the policy as it is now; one row of metrics, with its success rate on validation targets."""
