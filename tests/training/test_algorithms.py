@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Callable
 
 import numpy as np
@@ -10,6 +11,7 @@ import torch
 
 from cdcsr.robot import Robot
 from training.algorithms import BATD3, TD3, BehaviourCloning
+from training.collector import exploration_noise
 from training.config import Learner
 from training.replay import Batch
 
@@ -133,3 +135,20 @@ def test_clone_learns_a_known_policy(small_robot: Robot) -> None:
     # Eq. (4) on actions in [-1, 1], which are commands over eta / 2.
     assert losses[-1] == pytest.approx(((clone.actor.command(observations) - commands) / 2.5).square().mean(), rel=0.5)
     assert not any(p.requires_grad for p in clone.actor.parameters())
+
+
+def test_the_learning_rate_falls_linearly_to_its_end(make: Make, small_batch: Batch) -> None:
+    td3 = make(TD3, updates=4, learning_rate=0.1, final_learning_rate=0.2)
+    rates = []
+    for _ in range(5):
+        td3.update(small_batch)
+        rates.append([optimizer.param_groups[0]["lr"] for optimizer in (td3.actor_optimizer, td3.critic_optimizer)])
+    # 0.1 less a quarter of 0.08 each update, and no further than 0.02.
+    np.testing.assert_allclose(rates, [[r, r] for r in (0.08, 0.06, 0.04, 0.02, 0.02)])
+
+
+def test_noise_is_the_same_everywhere_or_climbs_a_ladder() -> None:
+    learner = Learner(num_envs=5, exploration_noise=0.2)
+    np.testing.assert_allclose(exploration_noise(learner), 0.2)
+    ladder = exploration_noise(dataclasses.replace(learner, noise_ladder=True))
+    np.testing.assert_allclose(ladder, [0, 0.1, 0.2, 0.3, 0.4])

@@ -90,3 +90,12 @@ def test_hindsight_targets_lie_all_along_the_way() -> None:
     lengths = np.array([len(other.actions) for other in found if other is not None])
     # Uniform over the way, but for what begins within the threshold of the start.
     assert np.histogram(lengths, 4, (0, 200))[0].min() > 60
+
+
+def test_a_step_cost_makes_values_linear_in_time() -> None:
+    memory, rng = _memory(step_cost=0.01, discount=1.0, return_steps=3), np.random.default_rng(0)
+    memory.add(_episode(5, 1.0, success=True), rng)
+    rows = memory.replays["replay"].rows
+    # Five actions from the end three are paid for and the rest is bootstrapped; one from the end: 1 - 0.01.
+    np.testing.assert_allclose(rows["reward"][:5], [-0.03, -0.03, 0.97, 0.98, 0.99], atol=1e-7)
+    np.testing.assert_array_equal(rows["discount"][:5], [1, 1, 0, 0, 0])
