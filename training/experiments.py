@@ -52,6 +52,8 @@ def experiments(
 
     if not names and not list:
         raise CdcsrError(f"No experiment is given; name some of: {', '.join(EXPERIMENTS)}; or all.")
+    if address is not None and executor != "ray":
+        raise CdcsrError("--address is that of a Ray cluster; give --executor ray with it.")
     chosen = [*EXPERIMENTS] if not names or "all" in names else names
     amounts = BUDGETS[budget]
     wanted = [
