@@ -12,10 +12,12 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from backends.pybullet.simulation import PybulletSimulation
 from cdcsr.envs import ReachVectorEnv
 from cdcsr.errors import CdcsrError, Diverged
+from cdcsr.parameters import Parameters
 from cdcsr.robot import Robot, load_robot
-from cdcsr.simulation import make_simulation
+from cdcsr.simulation import Simulation, make_simulation
 from controllers.controller import Controller
 from training import sweep as sweeps
 from training.evaluation import VALIDATION_SEED, Result, evaluate
@@ -104,22 +106,39 @@ def test_mujocos_own_settings_stretch_a_cable(paper: Robot) -> None:
     assert excess[1] > 1e-3
 
 
-def test_pybullets_own_settings_damp_a_drift(paper: Robot) -> None:
+@pytest.mark.parametrize("workers", [0, 2])
+def test_pybullets_own_settings_damp_a_drift(workers: int, paper: Robot) -> None:
     """Bullet's law for multibodies is v' = -k (1 + |v|) v, on every body alike: a drift stays a drift."""
-    simulation, after = make_simulation(paper, "pybullet"), []
+    simulation, after = PybulletSimulation(paper, 2, workers), []
     for _ in range(2):
         snapshot = simulation.get_snapshot()
         snapshot.velocity[:, 2] = 0.1
         simulation.set_snapshot(snapshot)
-        simulation.step(np.zeros((1, 8)), substeps=100)
-        after.append(simulation.state().tip_velocity[0, 2])
+        simulation.step(np.zeros((2, 8)), substeps=100)
+        after.append(simulation.state().tip_velocity[:, 2])
         simulation.use_own_settings()
+    assert (simulation.state().time == 0).all()
     simulation.close()
     expected = 0.1
     for _ in range(100):
         expected -= paper.time_step * 0.04 * (1 + expected) * expected
-    assert after[0] == pytest.approx(0.1, rel=1e-9)
-    assert after[1] == pytest.approx(expected, rel=1e-4)
+    np.testing.assert_allclose(after[0], 0.1, rtol=1e-9)
+    np.testing.assert_allclose(after[1], expected, rtol=1e-4)
+
+
+@both
+def test_own_settings_leave_parameters_in_force(backend: str, paper: Robot) -> None:
+    simulation = make_simulation(paper, backend)
+    simulation.set_parameters(None, Parameters(base_mass=2.0))
+    simulation.use_own_settings()
+    mass = simulation.dynamics().mass_matrix[0, 0, 0]
+    simulation.close()
+    assert mass == pytest.approx(paper.total_mass + paper.base.mass)
+
+
+def test_an_engine_without_settings_of_its_own_says_so(paper: Robot) -> None:
+    with pytest.raises(CdcsrError, match="'mujoco' declares no settings of its own"):
+        Simulation.use_own_settings(make_simulation(paper, "mujoco"))
 
 
 @pytest.mark.parametrize("name", ["servo_gain", "command_delay", "observation_delay"])
