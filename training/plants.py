@@ -156,8 +156,10 @@ def find_axes(names: tuple[str, ...]) -> list[Axis]:
     """The axes of those names; "all" stands for all.
 
     Raises:
-        CdcsrError: there is no such axis.
+        CdcsrError: there is no such axis, or none is named.
     """
+    if not names:
+        raise CdcsrError(f"No axis is named; name some of {', '.join(AXES)}, or all.")
     for name in names:
         if name != "all" and name not in AXES:
             raise CdcsrError(unknown_choice("axis", name, [*AXES, "all"]))

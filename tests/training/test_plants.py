@@ -182,6 +182,10 @@ def test_levels_that_are_none_are_refused(name: str, level: float, message: str,
 def test_an_unknown_axis_is_told() -> None:
     with pytest.raises(CdcsrError, match=r"Unknown axis 'link_mas'. Did you mean 'link_mass'\?"):
         find_axes(("link_mas",))
+    with pytest.raises(CdcsrError, match="No axis is named"):
+        find_axes(())
+    assert [axis.name for axis in find_axes(("servo_gain", "link_mass"))] == ["link_mass", "servo_gain"]
+    assert find_axes(("all",)) == list(AXES.values())
 
 
 # --- By intent only ------------------------------------------------------------------------------------------------
