@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from cdcsr.disturbances import Channel, Disturbances
 from cdcsr.errors import CdcsrError, unknown_choice
+from cdcsr.randomization import Randomization
 from cdcsr.robot import Robot, load_robot
 from cdcsr.simulation import make_simulation
 from cdcsr.spaces import make_space
@@ -44,6 +45,7 @@ class ReachVectorEnv(VectorEnv[Array, Array, NDArray[Any]]):
         centers: the demonstrations' targets that Floating and Spatter surround, shape (n, 3), in [m].
         disturbances: what goes wrong between policy and robot.
         autoreset_mode: SAME_STEP or DISABLED.
+        randomization: draws a new plant for every episode; by default all are the description's.
     """
 
     def __init__(
@@ -59,6 +61,7 @@ class ReachVectorEnv(VectorEnv[Array, Array, NDArray[Any]]):
         centers: Array | None = None,
         disturbances: Disturbances | None = None,
         autoreset_mode: AutoresetMode | str = AutoresetMode.SAME_STEP,
+        randomization: Randomization | None = None,
     ) -> None:
         mode = AutoresetMode(autoreset_mode)
         if mode is AutoresetMode.NEXT_STEP:
@@ -77,6 +80,7 @@ class ReachVectorEnv(VectorEnv[Array, Array, NDArray[Any]]):
         self.action_space = batch_space(self.single_action_space, num_envs)
         self.metadata = {"autoreset_mode": mode, "render_modes": []}
         self._autoreset = mode is AutoresetMode.SAME_STEP
+        self.randomization = randomization
         self._disturbances = disturbances or Disturbances()
         self._channel = Channel(self._disturbances, self.np_random)
         self.targets = np.zeros((num_envs, 3))
@@ -128,6 +132,8 @@ class ReachVectorEnv(VectorEnv[Array, Array, NDArray[Any]]):
             self.targets[ids] = self.space.sample(self.np_random, len(ids))
         else:
             self.targets[ids] = targets[ids]
+        if self.randomization is not None:
+            self.randomization.begin(self.simulation, ids)
         self.simulation.reset(None if fresh.all() else ids)
         self.actions_taken[ids] = 0
         state = self.simulation.state()

@@ -25,8 +25,9 @@ Array = NDArray[np.float64]
 Ids = Sequence[int] | NDArray[np.integer] | None
 """Which copies: sorted unique indices, or None for all."""
 
-Capability = Literal["render", "bit_exact"]
-"""render: has its own camera. bit_exact: the same commands give the same bits, also after a snapshot."""
+Capability = Literal["render", "bit_exact", "own_settings"]
+"""render: has its own camera. bit_exact: the same commands give the same bits, also after a snapshot. own_settings:
+has `use_own_settings`."""
 
 
 @dataclass(frozen=True)
@@ -144,6 +145,17 @@ class Simulation(ABC):
             mine[chosen] = new
         self._line.set_delay(chosen, delay)
         self._set_plant(chosen, plant)
+
+    def use_own_settings(self) -> None:
+        """From now on step as the engine does by itself, and put all copies back to the start.
+
+        What an engine was told only so that it agrees with the description and the other engines is undone; masses,
+        routes, springs, dampers and servos stay. Each engine says in its own docstring what that comes to.
+
+        Raises:
+            CdcsrError: the engine lacks the capability "own_settings".
+        """
+        raise CdcsrError(f"The engine {self.engine!r} declares no settings of its own to go back to.")
 
     def reset(self, ids: Ids = None) -> None:
         """Put copies back to the start: straight, at rest, time zero. The others are untouched.

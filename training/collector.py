@@ -97,6 +97,8 @@ class Collector:
     def state_arrays(self) -> dict[str, NDArray[Any]]:
         """All that is needed to go on from here, but for the random generators."""
         env, snapshot = self.env, self.env.simulation.get_snapshot()
+        plants = {} if env.randomization is None else env.randomization.drawn
+        under_way = {} if snapshot.commands is None else {"commands": snapshot.commands}
         return {
             "observations": self._observations,
             "actions": self._actions,
@@ -110,6 +112,8 @@ class Collector:
             "position": snapshot.position,
             "velocity": snapshot.velocity,
             "private": snapshot.private,
+            **under_way,
+            **{f"plant.{name}": values for name, values in plants.items()},
         }
 
     def load_state_arrays(self, arrays: dict[str, NDArray[Any]]) -> None:
@@ -118,6 +122,9 @@ class Collector:
         # Begins the channel of observations too, which has no other state when nothing is disturbed.
         env.reset(options={"targets": arrays["targets"]})
         env.actions_taken[:] = arrays["actions_taken"]
+        if env.randomization is not None:
+            drawn = {name: arrays[f"plant.{name}"] for name in env.randomization.drawn}
+            env.randomization.restore(env.simulation, drawn)
         env.simulation.set_snapshot(
             Snapshot(
                 env.simulation.engine,
@@ -126,6 +133,7 @@ class Collector:
                 arrays["position"],
                 arrays["velocity"],
                 arrays["private"],
+                arrays.get("commands"),
             )
         )
         self._observations[:], self._actions[:] = arrays["observations"], arrays["actions"]

@@ -41,8 +41,8 @@ def evaluate(
     from cdcsr.disturbances import Disturbances
 
     _set_threads()
-    controller, description = _controller(policy, robot)
-    spaces = [space or _trained_space(controller)]
+    controller, description = find_controller(policy, robot)
+    spaces = [space or trained_space(controller)]
     _report([controller], description, backend, spaces, episodes, seed, json,
             Disturbances(action_noise, base_noise, packet_loss))  # fmt: skip
 
@@ -74,7 +74,7 @@ def transfer(
     _set_threads()
     if not policies:
         raise CdcsrError("No policy is given; name at least one folder of a policy or a run.")
-    controllers = [_controller(name, "paper") for name in policies]
+    controllers = [find_controller(name, "paper") for name in policies]
     robots = [robot for c, robot in controllers if isinstance(c, Policy)] or [controllers[0][1]]
     spaces = list(SPACES) if space == "all" else [space]
     _report([c for c, _ in controllers], robots[0], backend, spaces, episodes, seed, json, None)
@@ -142,13 +142,13 @@ def _set_threads() -> None:
     torch.set_num_threads(1)
 
 
-def _trained_space(controller: Controller) -> str:
+def trained_space(controller: Controller) -> str:
     from training.policy import Policy
 
     return str(controller.card["space"]) if isinstance(controller, Policy) else "anchor"
 
 
-def _controller(name: str, robot: str) -> tuple[Controller, Robot]:
+def find_controller(name: str, robot: str) -> tuple[Controller, Robot]:
     """The controller of that name or folder, and the robot it is for."""
     from cdcsr.robot import load_robot
     from controllers.jacobian import JacobianController

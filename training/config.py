@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any, Literal
 
 from cdcsr.errors import CdcsrError
+from cdcsr.randomization import check_scale
 
 AlgorithmName = Literal[
     "bc", "td3", "her", "td3wd", "rbl", "rlpd", "drldr", "batd3", "batd3-no-bc", "batd3-no-prefill",
@@ -159,6 +160,9 @@ class Train:
     """Where targets are drawn: anchor, floating or spatter."""
     frame_skip: int = 1
     """Simulation steps each action is held for."""
+    randomize: float = 0.0
+    """Domain randomization: every episode of learning is on a plant of its own. 1 draws from the ranges of
+    `cdcsr.randomization`, 0 is off. Demonstrations, the clone and its episodes are on the description's plant."""
     demonstrations: Path | None = None
     """A dataset made by `cdcsr demonstrate`; by default they are recorded in the engine, seed 0."""
     num_demonstrations: int = 10
@@ -179,6 +183,7 @@ class Train:
 
     def __post_init__(self) -> None:
         learner = self.learner
+        check_scale(self.randomize)
         if not 1 <= learner.target_critics <= learner.critics:
             raise CdcsrError(
                 f"target_critics must be between 1 and critics ({learner.critics}), not {learner.target_critics}."
@@ -224,6 +229,8 @@ class Train:
         for name in ("out", "stop_after", "force", "json", "evaluate_every", "evaluate_episodes"):
             del data[name]
         data["demonstrations"] = None if self.demonstrations is None else str(self.demonstrations)
+        if not self.randomize:
+            del data["randomize"]  # runs from before it existed go on
         data["learner"]["hidden"] = list(self.learner.hidden)
         return data
 

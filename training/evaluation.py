@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from math import sqrt
 from typing import Any
 
@@ -15,6 +15,8 @@ from cdcsr.errors import CdcsrError
 from cdcsr.robot import Robot
 from controllers.controller import Controller
 from controllers.demonstrations import rollout
+from training.plants import SecondPlant
+from training.policy import Policy
 
 Array = NDArray[np.float64]
 
@@ -31,7 +33,7 @@ class Result:
     success: NDArray[np.bool_]
     """(N,)."""
     length: NDArray[np.int64]
-    """(N,) simulation steps; a failed episode counts in full."""
+    """(N,) time steps of the robot that the controller is for; a failed episode counts in full."""
     distance: Array
     """(N,) from tip to target at the end, in [m]."""
     targets: Array
@@ -81,12 +83,13 @@ def evaluate(
     centers: Array | None = None,
     frame_skip: int = 1,
     disturbances: Disturbances | None = None,
+    plant: SecondPlant | None = None,
 ) -> Result:
     """Run a controller from the start on targets drawn from a space.
 
     Args:
         controller: who acts.
-        robot: the description.
+        robot: the description of the robot it is for.
         backend: the engine.
         space: the operation space.
         episodes: how many, run as one batch.
@@ -94,23 +97,34 @@ def evaluate(
         centers: the demonstrations' targets, shape (n, 3), for Floating and Spatter.
         frame_skip: simulation steps each action is held for.
         disturbances: what goes wrong between policy and robot.
+        plant: what is simulated, if it is not just `robot`. Given so, a policy acts on a robot it is not for.
 
     Raises:
         CdcsrError: an unknown engine or space, or no episodes.
     """
     if episodes < 1:
         raise CdcsrError(f"episodes must be at least 1, not {episodes}.")
+    plant, disturbances = plant or SecondPlant(robot), disturbances or Disturbances()
+    if isinstance(controller, Policy) and plant.robot is not robot:
+        controller = controller.on(plant.robot)
+    if plant.observation_delay:
+        disturbances = replace(disturbances, observation_delay=plant.observation_delay)
     env = ReachVectorEnv(
         episodes,
-        robot,
+        plant.robot,
         backend,
         space,
-        frame_skip=frame_skip,
+        frame_skip=frame_skip * plant.substeps,
+        max_steps=EPISODE_STEPS * plant.substeps,
         centers=centers,
         disturbances=disturbances,
         autoreset_mode="Disabled",
     )
     try:
+        if plant.own_settings:
+            env.simulation.use_own_settings()
+        if plant.parameters is not None:
+            env.simulation.set_parameters(None, plant.parameters)
         observation, _ = env.reset(seed=seed)
         outcome = rollout(controller, env, observation)
         return Result(

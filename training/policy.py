@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from copy import copy
 from importlib import resources
 from importlib.metadata import version
 from pathlib import Path
@@ -52,6 +53,19 @@ class Policy(Controller):
             self._check(env.robot)
         with torch.no_grad():
             return self.actor.command(torch.as_tensor(observation, dtype=torch.float32)).numpy().astype(np.float64)
+
+    def on(self, plant: Robot) -> Policy:
+        """This policy, made to act on one robot that it is not for. It goes on refusing all others.
+
+        Raises:
+            CdcsrError: that robot has other links or cables.
+        """
+        ours, theirs = ([(s.links, s.cables.angles_deg) for s in robot.segments] for robot in (self.robot, plant))
+        if ours != theirs:
+            raise CdcsrError(f"The policy {self.name!r} cannot act on {plant.name!r}: its links or cables are others.")
+        twin = copy(self)
+        twin._checked = plant
+        return twin
 
     def _check(self, robot: Robot) -> None:
         if robot.fingerprint != self.robot.fingerprint:

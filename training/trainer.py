@@ -16,6 +16,7 @@ from tqdm import tqdm
 
 from cdcsr.envs import ReachVectorEnv
 from cdcsr.files import write_json
+from cdcsr.randomization import Randomization
 from cdcsr.robot import Robot, load_robot
 from cdcsr.simulation import load_backend
 from cdcsr.spaces import make_space
@@ -91,17 +92,17 @@ class Run:
             return demonstrations.load(config.demonstrations, self.robot.fingerprint, config.frame_skip)
         num = config.num_demonstrations
         print(f"Recording {num} demonstrations in {config.backend} (seed 0)", flush=True)
-        env = self._env(num, "anchor", autoreset="Disabled")
+        env = self._env(num, "anchor", autoreset_mode="Disabled")
         episodes, _ = demonstrations.record(JacobianController(self.robot), env, num, seed=0)
         env.close()
         return episodes
 
-    def _env(self, num: int, space: str, autoreset: str = "SameStep") -> ReachVectorEnv:
+    def _env(self, num: int, space: str, **more: Any) -> ReachVectorEnv:
         config = self.config
         centers = self.centers if hasattr(self, "centers") else None
         return ReachVectorEnv(
             num, self.robot, config.backend, space, self.reward, config.frame_skip,
-            centers=centers, autoreset_mode=autoreset,
+            centers=centers, **more,
         )  # fmt: skip
 
     def _clone(self) -> BehaviourCloning:
@@ -137,7 +138,7 @@ class Run:
         episodes = list(self.episodes) if algorithm.uses_demonstrations else []
         rollouts = self.config.learner.bc_rollouts
         if clone is not None and algorithm.uses_rollouts and rollouts > 0:
-            env = self._env(rollouts, self.config.space, autoreset="Disabled")
+            env = self._env(rollouts, self.config.space, autoreset_mode="Disabled")
             observation, _ = env.reset(seed=self.config.seed)
             episodes += demonstrations.rollout(self._policy(clone.actor, "bc"), env, observation).successes()
             env.close()
@@ -163,14 +164,19 @@ class Run:
         torch.manual_seed(config.seed)
         self.torch_generator.manual_seed(config.seed)
         algorithm = ALGORITHMS[config.algorithm](self.robot, learner, self.torch_generator)
-        env = self._env(learner.num_envs, config.space)
-        streams = np.random.default_rng(config.seed).spawn(3)
+        streams = np.random.default_rng(config.seed).spawn(4)
+        plants = None
+        if config.randomize:
+            plants = Randomization(self.robot, learner.num_envs, config.randomize, streams[3])
+        env = self._env(learner.num_envs, config.space, randomization=plants)
         collector = Collector(env, exploration_noise(learner), learner.noise_hold, streams[0])
         memory = Memory(self.robot, learner, None if clone is None else clone.actions, env.task.threshold)
         state_path = self.folder / "state.safetensors"
         counters: dict[str, Any] = {"update": 0, "environment_steps": 0, "minutes": 0.0, "recent": []}
         collector.start(config.seed)
         generators = {"noise": streams[0], "sample": streams[1], "hindsight": streams[2], "env": env.np_random}
+        if plants is not None:
+            generators["plants"] = plants.rng
         everything = (algorithm, memory, collector, generators, self.torch_generator)
         if state_path.exists():
             counters = load_state(state_path, *everything)
@@ -257,6 +263,7 @@ class Run:
             "space": config.space,
             "seed": config.seed,
             "frame_skip": config.frame_skip,
+            "randomize": config.randomize,
             "demonstrations": len(self.episodes),
             **more,
         }

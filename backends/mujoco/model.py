@@ -51,6 +51,15 @@ def build_spec(robot: Robot, meshes: Mapping[str, str] | None = None) -> mujoco.
     return spec
 
 
+def use_own_settings(spec: mujoco.MjSpec) -> None:
+    """Give a robot's spec MuJoCo's own integrator and softness of limits, as in an empty MjSpec."""
+    own = mujoco.MjSpec()
+    spec.option.integrator = own.option.integrator
+    joint, tendon = own.worldbody.add_body().add_joint(), own.add_tendon()
+    for limited, default in [(x, joint) for x in spec.joints] + [(x, tendon) for x in spec.tendons]:
+        limited.solref_limit, limited.solimp_limit = default.solref_limit, default.solimp_limit
+
+
 def _set_options(spec: mujoco.MjSpec, robot: Robot) -> None:
     option = spec.option
     option.timestep = robot.time_step

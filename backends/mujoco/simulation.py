@@ -7,7 +7,7 @@ import numpy as np
 from mujoco import batch
 from numpy.typing import NDArray
 
-from backends.mujoco.model import build_spec
+from backends.mujoco.model import build_spec, use_own_settings
 from backends.mujoco.plants import write_plant
 from cdcsr.errors import CdcsrError, Diverged
 from cdcsr.parameters import Plant
@@ -35,22 +35,37 @@ class MujocoSimulation(Simulation):
     """
 
     engine = "mujoco"
-    capabilities = frozenset({"render", "bit_exact"})
+    capabilities = frozenset({"render", "bit_exact", "own_settings"})
 
     def __init__(self, robot: Robot, num: int = 1, threads: int | None = None) -> None:
         super().__init__(robot, num)
-        self.model: mujoco.MjModel = build_spec(robot).compile()
         if threads is None:  # waking a thread costs about as much as stepping a few copies
             threads = processors() if num >= 8 else 1
-        self.batch = batch.Batch(self.model, num, threads, True)
+        self._threads = threads
+        self._tension = np.zeros((num, robot.num_cables))
+        self._renderer: mujoco.Renderer | None = None
+        self._start(build_spec(robot).compile())
+
+    def _start(self, model: mujoco.MjModel) -> None:
+        """Simulate a model from the start."""
+        self.model = model
+        self.batch = batch.Batch(model, self.num, self._threads, True)
         self._sensors = self.batch.bind("sensordata")
         self._qpos, self._qvel = self.batch.bind("qpos"), self.batch.bind("qvel")
         self._time, self._ctrl = self.batch.bind("time"), self.batch.bind("ctrl")
-        self._tension = np.zeros((num, robot.num_cables))
-        self._scratch = mujoco.MjData(self.model)
-        self._renderer: mujoco.Renderer | None = None
+        self._scratch = mujoco.MjData(model)
         # Where a copy's own model is looked at; None as long as all have the same.
         self._own_model: mujoco.MjModel | None = None
+        self.reset()
+
+    def use_own_settings(self) -> None:
+        """As in the contract. MuJoCo's are the Euler integrator, and limits (of cables and hinges) of the softness
+        solref = (0.02, 1), solimp = (0.9, 0.95, 0.001, 0.5, 2)."""
+        spec = build_spec(self.robot)
+        use_own_settings(spec)
+        self.close()
+        self._start(spec.compile())
+        self._set_plant(np.arange(self.num), self.plant)
         self.reset()
 
     def _set_plant(self, ids: NDArray[np.int64], plant: Plant) -> None:

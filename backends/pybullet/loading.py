@@ -15,6 +15,8 @@ from cdcsr.robot import Robot
 
 MAX_JOINT_SPEED = 1e9
 """PyBullet clamps joint speeds, by default at 100; nothing that still means anything comes near this."""
+OWN_JOINT_SPEED, OWN_DAMPING = 100.0, 0.04
+"""PyBullet's defaults: the clamp in [m/s] or [rad/s], and the damping of all motion, linear and angular."""
 
 
 def connect(robot: Robot) -> int:
@@ -64,6 +66,14 @@ def load_robot_body(robot: Robot, client: int) -> int:
         body, range(count), pybullet.VELOCITY_CONTROL, forces=[0.0] * count, physicsClientId=client
     )
     return body
+
+
+def use_own_settings(client: int, body: int) -> None:
+    """Give a body back the damping and the clamp on joint speeds that :func:`load_robot_body` took away."""
+    pybullet.changeDynamics(
+        body, -1, linearDamping=OWN_DAMPING, angularDamping=OWN_DAMPING, maxJointVelocity=OWN_JOINT_SPEED,
+        physicsClientId=client,
+    )  # fmt: skip
 
 
 def set_masses(client: int, body: int, plant: Plant, row: int) -> None:

@@ -40,7 +40,7 @@ class PybulletSimulation(Simulation):
     """
 
     engine: ClassVar[str] = "pybullet"
-    capabilities: ClassVar[frozenset[Capability]] = frozenset({"render"})
+    capabilities: ClassVar[frozenset[Capability]] = frozenset({"render", "own_settings"})
 
     def __init__(self, robot: Robot, num: int = 1, workers: int | None = None) -> None:
         super().__init__(robot, num)
@@ -54,6 +54,16 @@ class PybulletSimulation(Simulation):
 
     def _set_plant(self, ids: NDArray[np.int64], plant: Plant) -> None:
         self._world.set_plant(ids, plant)
+
+    def use_own_settings(self) -> None:
+        """As in the contract. PyBullet's are a damping of 0.04 on all motion of every body, and joint speeds clamped
+        at 100.
+
+        Its own joint damping, explicit, is not among them: the tensions are solved for with the dampers implicit, and
+        a damper that solve did not know of would let cables stretch.
+        """
+        self._world.use_own_settings()
+        self.reset()
 
     def _reset(self, ids: NDArray[np.int64]) -> None:
         self._world.reset(ids.tolist())

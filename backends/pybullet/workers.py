@@ -28,7 +28,7 @@ from cdcsr.parameters import Plant
 from cdcsr.robot import Robot
 
 Array = NDArray[np.float64]
-Method = Literal["set_plant", "reset", "place", "step"]
+Method = Literal["set_plant", "use_own_settings", "reset", "place", "step"]
 
 _START = "import json, sys; sys.path[:] = json.loads(sys.argv[1]); from backends.pybullet.workers import serve; serve()"
 _PATIENCE = 5.0
@@ -60,6 +60,10 @@ class Pool:
                 for share, mine in zip(self._shares, inside, strict=True)
             ],
         )
+
+    def use_own_settings(self) -> None:
+        """Let PyBullet damp and clamp motion as it does by default."""
+        self._call("use_own_settings", [() for _ in self._shares])
 
     def reset(self, ids: Iterable[int]) -> None:
         """Put copies back to the start."""

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from backends.pybullet.cables import joint_forces, rig
 from backends.pybullet.dynamics import chain
-from backends.pybullet.loading import connect, load_robot_body, set_masses
+from backends.pybullet.loading import connect, load_robot_body, set_masses, use_own_settings
 from cdcsr.parameters import Parameters, Plant
 from cdcsr.robot import Robot
 
@@ -74,6 +74,11 @@ class World:
         for row, copy in enumerate(ids.tolist()):
             client, body = self._bodies[copy]
             set_masses(client, body, plant, row)
+
+    def use_own_settings(self) -> None:
+        """Let PyBullet damp and clamp motion as it does by default."""
+        for client, body in self._bodies:
+            use_own_settings(client, body)
 
     def reset(self, ids: Iterable[int]) -> None:
         """Put copies back to the start."""

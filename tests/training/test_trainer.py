@@ -62,10 +62,12 @@ def test_a_run_leaves_policy_metrics_and_summary(tmp_path: Path, demonstrations:
     assert json.loads((tmp_path / "summary.json").read_text())["validation"]["episodes"] == 4
 
 
-@pytest.mark.parametrize("algorithm", ["td3", "batd3"])
-def test_a_stopped_run_goes_on_to_the_same_bits(tmp_path: Path, demonstrations: Path, algorithm: str) -> None:
-    whole = train(_config(tmp_path / "whole", demonstrations, algorithm=algorithm))
-    halves = _config(tmp_path / "halves", demonstrations, algorithm=algorithm, evaluate_every=30)
+@pytest.mark.parametrize(("algorithm", "randomize"), [("td3", 0.0), ("batd3", 0.0), ("td3", 1.0)])
+def test_a_stopped_run_goes_on_to_the_same_bits(
+    tmp_path: Path, demonstrations: Path, algorithm: str, randomize: float
+) -> None:
+    whole = train(_config(tmp_path / "whole", demonstrations, algorithm=algorithm, randomize=randomize))
+    halves = _config(tmp_path / "halves", demonstrations, algorithm=algorithm, randomize=randomize, evaluate_every=30)
     train(dataclasses.replace(halves, stop_after=0.0))
     assert (tmp_path / "halves" / "state.safetensors").exists()
     resumed = train(halves)

@@ -15,10 +15,12 @@ from cdcsr.files import write_text
 from cdcsr.robot import Robot
 from controllers.controller import Controller
 from training.evaluation import Result, evaluate
+from training.plants import AXES
 from training.policy import Policy
 from training.study.follow import MOTIONS, follow
 from training.study.grid import BACKENDS, SPACES
 from training.study.spec import RunSpec
+from training.sweep import Point, sweep
 
 EPISODE_COLUMNS = ("backend", "space", "axis", "level", "episode", "success", "length", "distance")
 FOLLOW_COLUMNS = (
@@ -26,6 +28,9 @@ FOLLOW_COLUMNS = (
 )  # fmt: skip
 FOLLOW_EPISODES = 10
 """At most; each is many rows."""
+
+PLANT_EPISODES = 30
+"""At most; there are many plants."""
 
 LEVELS = {
     "action_noise": (0.0, 0.5, 1.0, 1.5, 2.0),
@@ -115,6 +120,22 @@ def following(subject: Subject, episodes: int) -> Iterator[Row]:
             yield backend, motion, sample.episode, sample.step, *(f"{error:.5f}" for error in errors)
 
 
+def plants(subject: Subject, episodes: int) -> Iterator[Row]:
+    """Plants that are ever more wrong, one axis at a time, in every engine, until success halves."""
+    space = subject.spec.space
+    for backend in BACKENDS:
+        nominal = evaluate(subject.controller, subject.robot, backend, space, episodes, **subject.options)
+        for axis in AXES.values():
+            points = [Point(backend, space, axis, axis.nominal, nominal)]
+            if nominal.success.any():  # else there is nothing to lose
+                points = sweep(
+                    subject.controller, subject.robot, backend, space, axis, episodes=episodes, nominal=points[0]
+                )
+            for point in points:
+                if point.result is not None:  # the engine could simulate that plant
+                    yield from episode_rows(backend, space, axis.name, point.level, point.result)
+
+
 def episode_rows(backend: str, space: str, axis: str, level: float, result: Result) -> Iterator[Row]:
     """The rows of one cell."""
     for i, (success, length, distance) in enumerate(zip(result.success, result.length, result.distance, strict=True)):
@@ -124,6 +145,7 @@ def episode_rows(backend: str, space: str, axis: str, level: float, result: Resu
 EVALUATIONS: dict[str, Evaluation] = {
     "nominal": Evaluation(EPISODE_COLUMNS, nominal),
     "disturbances": Evaluation(EPISODE_COLUMNS, disturbances),
+    "plants": Evaluation(EPISODE_COLUMNS, plants, most=PLANT_EPISODES),
     "follow": Evaluation(FOLLOW_COLUMNS, following, most=FOLLOW_EPISODES),
 }
 """By name, which is also that of its file."""
