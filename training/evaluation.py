@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from math import sqrt
 from typing import Any
 
 import numpy as np
@@ -15,6 +14,7 @@ from cdcsr.errors import CdcsrError
 from cdcsr.robot import Robot
 from controllers.controller import Controller
 from controllers.demonstrations import rollout
+from training.study.statistics import wilson
 
 Array = NDArray[np.float64]
 
@@ -54,21 +54,6 @@ class Result:
             "length_std": float(self.length.std()),
             "failed": np.flatnonzero(~self.success).tolist(),
         }
-
-
-def wilson(successes: int, total: int, z: float = 1.959963984540054) -> tuple[float, float]:
-    """The 95 % interval of a proportion (Wilson 1927).
-
-    Args:
-        successes: how many of `total` succeeded.
-        total: at least one.
-        z: quantile of the normal distribution.
-    """
-    share = successes / total
-    center = share + z * z / (2 * total)
-    spread = z * sqrt(share * (1 - share) / total + z * z / (4 * total * total))
-    scale = 1 + z * z / total
-    return max(0.0, (center - spread) / scale), min(1.0, (center + spread) / scale)
 
 
 def evaluate(

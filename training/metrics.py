@@ -5,8 +5,6 @@ from __future__ import annotations
 import csv
 from pathlib import Path
 
-from torch.utils.tensorboard import SummaryWriter
-
 COLUMNS: tuple[str, ...] = (
     "update",
     "environment_steps",
@@ -32,6 +30,8 @@ class Metrics:
     """
 
     def __init__(self, folder: Path, after: int) -> None:
+        from torch.utils.tensorboard import SummaryWriter  # here, so that reading metrics needs no torch
+
         self._path = folder / "metrics.csv"
         rows = [row for row in read_metrics(self._path) if row["update"] <= after] if after else []
         with self._path.open("w", newline="", encoding="utf-8") as file:

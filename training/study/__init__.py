@@ -1,0 +1,1 @@
+"""The study: which runs there are, and what their numbers say."""
