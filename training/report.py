@@ -34,7 +34,7 @@ def report(
         raise CdcsrError(f"{results} holds no finished run; make some with `python -m training.experiments`.")
     check_axes(runs)
     _refuse_other_folder(out)
-    paper, tables = list(beside_paper(runs)), list(all_tables(runs))
+    paper, tables = list(beside_paper(runs, expected)), list(all_tables(runs))
     with new_folder(out, force=True) as folder:
         figures = [*curve_figures(runs, folder), *follow_figures(runs, folder), *plant_figures(runs, folder)]
         for table in (*paper, *tables):

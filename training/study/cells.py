@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import csv
 import io
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -133,6 +133,12 @@ def who(setting: Setting) -> str:
 def trained(setting: Setting) -> list[Value]:
     """Columns that tell settings apart: algorithm, preset, engine it was trained in."""
     return [who(setting), setting.preset, engine_title(setting.backend)]
+
+
+def amount(numbers: Iterable[int], noun: str) -> str:
+    """Numbers of something as text: "1 seed", "3 seeds", "1 to 3 seeds"."""
+    low, high = min(found := list(numbers)), max(found)
+    return f"{low} {noun}{'s' * (low != 1)}" if low == high else f"{low} to {high} {noun}s"
 
 
 TRAINED = ("algorithm", "preset", "trained in")

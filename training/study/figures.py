@@ -13,7 +13,7 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import PercentFormatter
 from numpy.typing import NDArray
 
-from training.study.cells import measure, who
+from training.study.cells import amount, measure, who
 from training.study.records import JACOBIAN, SPACES, Run, Setting, grouped
 from training.study.statistics import band
 from training.study.tables import ABLATIONS, COUNTED, OURS, counted, variants
@@ -52,10 +52,9 @@ def curve_figures(runs: Sequence[Run], out: Path) -> Iterator[tuple[str, str]]:
     )
     for name, title, some, panel in chosen:
         for (preset, engine), part in sorted(_kinds(some).items()):
-            if {run.setting.algorithm for run in part} <= {"batd3"} and name == "fig4":
-                continue  # nothing is ablated
-            if len({run.setting.demonstrations for run in part}) < 2 and name == "fig5":
-                continue  # nothing varies
+            varied = [(r.setting.algorithm, r.setting.switches, r.setting.demonstrations) for r in part]
+            if name != "fig3" and len({(one if name != "fig5" else one[2]) for one in varied}) < 2:
+                continue  # there is nothing to compare
             panels: Panels = {}
             for setting, group in grouped(part).items():
                 panels.setdefault(panel(setting), {})[setting] = group
@@ -66,9 +65,8 @@ def curve_figures(runs: Sequence[Run], out: Path) -> Iterator[tuple[str, str]]:
 
 def caption(runs: Sequence[Run]) -> str:
     """What curves rest on."""
-    sizes = sorted({len(group) for group in grouped(runs).values()})
     minutes = np.mean([run.minutes for run in runs])
-    seeds = f"{sizes[0]}" if sizes[0] == sizes[-1] else f"{sizes[0]} to {sizes[-1]}"
+    seeds = amount(map(len, grouped(runs).values()), "seed")
     return (
         f"Success on validation targets: mean over seeds ({seeds} a curve) and its 95 % bootstrap interval, at updates"
         f" that all seeds have reached; {minutes:.1f} minutes a run. A level line is an algorithm without a learning"
@@ -104,12 +102,16 @@ def legend(figure: Figure, columns: int) -> None:
 
 
 def _draw(panels: Panels, path: Path, counts: bool) -> None:
-    """One panel of curves for each title; with `counts`, one more of success by the number of demonstrations."""
-    total = len(panels) + counts
+    """One panel of curves for each title; with `counts`, one more of success by the number of demonstrations.
+
+    That one also has the algorithms without learning curves, which then have no panel of their own.
+    """
+    shown = {title: g for title, g in panels.items() if not counts or any(r.curve for some in g.values() for r in some)}
+    total = len(shown) + counts
     with drawn(path, (3.1 * total + 0.5, 3.3), "constrained") as figure:
         grid = figure.subplots(1, total, sharey=True, squeeze=False)[0]
         colors = _colors(panels, counts)
-        for axes, (title, groups) in zip(grid, panels.items(), strict=False):
+        for axes, (title, groups) in zip(grid, shown.items(), strict=False):
             axes.set(title=title, xlabel="updates")
             for setting, group in groups.items():
                 _curve(axes, setting, group, _label(setting, counts), colors[_label(setting, counts)])

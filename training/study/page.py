@@ -17,38 +17,47 @@ ENGINE = "mujoco"
 _HEAD = ("paper κ", "ours κ", "paper l_epi", "ours l_epi", "preset", *COST, "command")
 
 _READING = """\
-How to read it. κ is the success rate; `0.76 [0.68, 0.83]` is the mean over seeds with its 95 % percentile interval,
+How to read it: κ is the success rate; `0.76 [0.68, 0.83]` is the mean over seeds with its 95 % percentile interval,
 bootstrapped over seeds; an interval with a star comes from one seed and is Wilson's, over its episodes: it says
-nothing about other seeds. IQM is the interquartile mean over seeds (Agarwal et al. 2021). l_epi is the mean and
-standard deviation of the episode length over all episodes, in simulation steps, with failures counting in full.
-Minutes are wall-clock time of training, the mean over seeds. Every number is measured on held-out targets that
-nothing was tuned on; learning curves are on validation targets. `not run` is what no finished run has measured."""
+nothing about other seeds. IQM is the interquartile mean over seeds (Agarwal et al. 2021): of fewer than four,
+their mean. l_epi is the mean and standard deviation of the episode length over all episodes, in simulation steps,
+with failures counting in full. Minutes are wall-clock time of training, the mean over seeds.
+Every number is measured on held-out targets that nothing was tuned on; learning curves are on validation targets.
+`not run` is what no finished run has measured."""
 
 
-def beside_paper(runs: Sequence[Run]) -> Iterator[Table]:
-    """Tables II, III and IV of the paper, a row for each of its cells and each preset of ours."""
+def beside_paper(runs: Sequence[Run], expected: Mapping[str, Sequence[str]] | None) -> Iterator[Table]:
+    """Tables II, III and IV of the paper, a row for each of its cells and each preset of ours.
+
+    Args:
+        runs: of the study.
+        expected: names of the runs of each experiment, to find the one that a run is from.
+    """
     chosen = [run for run in runs if run.setting.plain and run.setting.backend == ENGINE]
+    expected = expected or {}
     batd3 = [run for run in chosen if run.setting.algorithm == "batd3"]
 
     rows: list[list[Value]] = []
     for (algorithm, space), printed in TABLE_2.items():
         own = [run for run in chosen if run.setting.algorithm == algorithm]
         cells = [measure(at_home(group, space), "nominal", space=space) for group in grouped(own, "space").values()]
-        rows += _rows([algorithm_title(algorithm), SPACES[space]], printed, cells, ("table2", algorithm, space))
+        rows += _rows(
+            [algorithm_title(algorithm), SPACES[space]], printed, cells, ("table2", algorithm, space), expected
+        )
     yield _table("paper2", "Table II beside the paper", basis(chosen), ("algorithm", "space"), rows)
 
     rows = []
     for (source, space), printed in TABLE_3.items():
         groups = grouped(run for run in batd3 if run.setting.space == source)
         cells = [measure(group, "nominal", space=space) for group in groups.values()]
-        rows += _rows([SPACES[source], SPACES[space]], printed, cells, ("table3", "batd3", source))
+        rows += _rows([SPACES[source], SPACES[space]], printed, cells, ("table3", "batd3", source), expected)
     yield _table("paper3", "Table III beside the paper (BATD3)", basis(batd3), ("trained in", "tested in"), rows)
 
     rows = []
     for (axis, level, space), printed in TABLE_4.items():
         groups = grouped(run for run in batd3 if run.setting.space == space)
         cells = [disturbed(group, axis, level, space) for group in groups.values()]
-        rows += _rows([DISTURBANCES[axis], level, SPACES[space]], printed, cells, ("table4", "batd3", space))
+        rows += _rows([DISTURBANCES[axis], level, SPACES[space]], printed, cells, ("table4", "batd3", space), expected)
     yield _table("paper4", "Table IV beside the paper (BATD3)", basis(batd3), ("what", "level", "space"), rows)
 
 
@@ -71,7 +80,9 @@ def page(
     parts = [TITLE, _provenance(runs), _READING, "## Beside the paper"]
     parts += [_section(table) for table in paper]
     parts += ["## Tables", *(_section(table) for table in tables), "## Figures"]
-    parts += [f"![{caption}]({file})\n\n{caption}" for file, caption in figures] or ["No run has anything to draw yet."]
+    parts += [f"![{file.removesuffix('.png')}]({file})\n\n{caption}" for file, caption in figures] or [
+        "No run has anything to draw yet."
+    ]
     parts += ["## What was not run", _missing(runs, expected)]
     return "\n\n".join(parts) + "\n"
 
@@ -97,15 +108,22 @@ def _table(name: str, title: str, note: str, head: Sequence[str], rows: Sequence
 
 
 def _rows(
-    names: list[Value], printed: Printed, cells: Sequence[Cell | None], source: tuple[str, str, str]
+    names: list[Value],
+    printed: Printed,
+    cells: Sequence[Cell | None],
+    source: tuple[str, str, str],
+    expected: Mapping[str, Sequence[str]],
 ) -> Iterator[list[Value]]:
     """A row for each of our cells; or one that says there is none."""
-    kappa, length = printed
+    printed_kappa, length = printed
+    kappa = f"{printed_kappa:.2f}"
     found = [cell for cell in cells if cell]
     for cell in found:
         run = cell.runs[0]
         options = f"--budget {run.budget} " if run.budget else ""
-        command = f"`python -m training.experiments {source[0]} {options}--only '{seedless(run.name)}'`"
+        known = [name for name, names in expected.items() if run.name in names]
+        experiment = source[0] if source[0] in known or not known else known[0]
+        command = f"`python -m training.experiments {experiment} {options}--only '{seedless(run.name)}'`"
         yield [*names, kappa, cell.success, length, cell.length, run.setting.preset, *cost(cell.runs), command]
     if not found:
         experiment, algorithm, space = source

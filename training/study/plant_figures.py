@@ -10,7 +10,7 @@ from matplotlib.axes import Axes
 from matplotlib.ticker import FixedLocator, FuncFormatter, NullLocator
 from numpy.typing import NDArray
 
-from training.study.cells import who
+from training.study.cells import amount, who
 from training.study.figures import COLORS, legend, tidy
 from training.study.plants import AXES, sweeps
 from training.study.records import SPACES, Run, Setting, grouped
@@ -54,7 +54,7 @@ def follow_figures(runs: Sequence[Run], out: Path) -> Iterator[tuple[str, str]]:
                 for axes, motion in zip(row, motions, strict=True):
                     for setting, group in groups.items():
                         _followed(axes, setting, group, engine, motion, name, factor)
-                    axes.axhline(bound, color=SOFT, lw=1.2, ls=":", label="the paper's bound")
+                    axes.axhline(bound, color=SOFT, lw=1.2, ls=":", label="bound")
                     axes.set_ylim(bottom=0)
                     axes.grid(axis="y")
             for axes, motion in zip(grid[0], motions, strict=True):
@@ -62,12 +62,12 @@ def follow_figures(runs: Sequence[Run], out: Path) -> Iterator[tuple[str, str]]:
             for axes in grid[-1]:
                 axes.set_xlabel("simulation steps")
             legend(figure, 3)
-        sizes = sorted({len(group) for group in groups.values()})
         yield (
             file,
             (
                 f"Fig. 6: following a moving target; trained in {SPACES.get(space, space)} Space in {title},"
-                f" {_range(sizes)} seeds. Mean over episodes and seeds, and the range of nine tenths of them."
+                f" {amount(map(len, groups.values()), 'seed')}. Mean over episodes and seeds, and the range of"
+                " nine tenths; dotted, the paper's bounds on the base, and the distance that is success."
             ),
         )
 
@@ -96,12 +96,12 @@ def plant_figures(runs: Sequence[Run], out: Path) -> Iterator[tuple[str, str]]:
             if found:
                 file = f"plants-{space}-{engine}.png"
                 _draw_sweeps(found, out / file)
-                sizes = sorted({len(seeds) for groups in found.values() for seeds in groups.values()})
+                sizes = [len(seeds) for groups in found.values() for seeds in groups.values()]
                 yield (
                     file,
                     (
                         f"Success in {title}, {SPACES[space]} Space, on plants that are not as described;"
-                        f" {_range(sizes)} seeds. Bands are Wilson intervals over the episodes of all seeds together;"
+                        f" {amount(sizes, 'seed')}. Bands are Wilson intervals over the episodes of all seeds together;"
                         " only levels that every seed was measured at. Dashed: trained on randomized plants."
                     ),
                 )
@@ -150,7 +150,8 @@ def _factors(axes: Axes) -> None:
     """A logarithmic scale of factors, with plain numbers on it."""
     axes.set_xscale("log")
     low, high = axes.get_xlim()
-    ticks = [x for x in (0.1, 0.2, 0.5, 1, 2, 5, 10, 20, 50, 100) if low <= x <= high]
+    wide, narrow = (0.1, 0.2, 0.5, 1, 2, 5, 10, 20, 50, 100), (0.125, 0.25, 0.5, 1, 2, 4, 8)
+    ticks = [x for x in (wide if high / low > 12 else narrow) if low <= x <= high]
     axes.xaxis.set_major_locator(FixedLocator(ticks))
     axes.xaxis.set_minor_locator(NullLocator())
     axes.xaxis.set_major_formatter(FuncFormatter(lambda x, _: f"{x:g}"))
@@ -171,7 +172,3 @@ def _followed(
         low, high = np.array([np.quantile(samples[step], (0.05, 0.95)) for step in steps]).T
         axes.fill_between(steps, low, high, color=color, alpha=0.12, lw=0)
         axes.plot(steps, [np.mean(samples[step]) for step in steps], color=color, lw=1.6, label=who(setting))
-
-
-def _range(values: Sequence[int]) -> str:
-    return f"{values[0]}" if values[0] == values[-1] else f"{values[0]} to {values[-1]}"

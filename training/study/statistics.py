@@ -14,8 +14,8 @@ Array = NDArray[np.float64]
 Statistic = Callable[[NDArray[Any]], Array]
 """From scores of shape (..., runs, tasks) to one number each, shape (...)."""
 
-REPETITIONS = 10_000
-"""Of a bootstrap."""
+REPETITIONS = 50_000
+"""Of a bootstrap; as rliable has it."""
 _QUANTILES = (0.025, 0.975)
 
 

@@ -8,7 +8,7 @@ from typing import Literal
 
 import numpy as np
 
-from training.study.cells import COST, TRAINED, Cell, Table, Value, cost, measure, trained
+from training.study.cells import COST, TRAINED, Cell, Table, Value, amount, cost, measure, trained
 from training.study.paper import DISTURBANCES, TABLE_4
 from training.study.plants import AXES, sweeps
 from training.study.records import DEMONSTRATIONS, SPACES, Run, at_home, grouped
@@ -196,10 +196,9 @@ def basis(runs: Sequence[Run]) -> str:
     """What some numbers rest on, in a sentence."""
     if not runs:
         return "No run of this is finished."
-    sizes = sorted({len(group) for group in grouped(runs).values()})
-    updates = sorted({run.updates for run in runs})
     return (
-        f"{len(runs)} runs, {_range(sizes)} seeds a setting, {_range(updates)} updates a run, "
+        f"{amount([len(runs)], 'run')}, {amount(map(len, grouped(runs).values()), 'seed')} a setting, "
+        f"{amount((run.updates for run in runs), 'update')} a run, "
         f"{np.sum([run.minutes for run in runs]):.0f} minutes of training in all."
     )
 
@@ -261,7 +260,3 @@ def _halving(found: Sequence[Sweep], nominal: float, side: Literal["above", "bel
 
 def _level(value: float) -> str:
     return f"{value:.3g}" if np.isfinite(value) else "none"
-
-
-def _range(values: Sequence[int]) -> str:
-    return f"{values[0]}" if values[0] == values[-1] else f"{values[0]} to {values[-1]}"

@@ -1,14 +1,14 @@
 """Makes rliable.json with the rliable package itself, which this project does not depend on.
 
 python -m venv /tmp/rliable && /tmp/rliable/bin/pip install rliable==1.2.0 arch==7.2.0 "pandas<3"
-/tmp/rliable/bin/python tests/training/study/rliable_reference.py > tests/training/study/rliable.json
+/tmp/rliable/bin/python tests/training/rliable_reference.py > tests/training/rliable.json
 """
 
 import json
 from importlib.metadata import version
 
 import numpy as np
-from rliable import library, metrics
+from rliable import library, metrics  # type: ignore[import-not-found]
 
 SCORES = {
     "five runs of three tasks": [
