@@ -24,7 +24,7 @@ Array = NDArray[np.float64]
 COLORS = dict(
     zip(("batd3", OURS, "td3wd", "rlpd", "rbl", "bc", "td3", "her"), RUN_COLORS, strict=True),
     drldr=INK,
-    jacobian=SOFT,
+    jacobian="#5aa02c",
     **dict(zip(ABLATIONS[1:], RUN_COLORS[1:], strict=False)),
 )
 """Of algorithms, the same in all figures in which they stand side by side."""
