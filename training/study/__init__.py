@@ -1,1 +1,1 @@
-"""The study: which runs there are, and what their numbers say."""
+"""The study: a declared grid of training runs and their evaluations, carried out on this machine or on a cluster."""
