@@ -22,9 +22,10 @@ from controllers.controller import Controller
 from controllers.jacobian import JacobianController
 from training.config import PRESETS, Learner, Train
 from training.evaluation import TEST_SEED, Result
-from training.figures import algorithm_title, engine_title, learning_curve, targets_picture
+from training.figures import learning_curve, targets_picture
 from training.metrics import read_metrics
 from training.policy import Policy, load_policy
+from training.style import algorithm_title, engine_title
 from training.trainer import train
 from training.transfer import disagreements, format_table, transfer
 from training.video import policy_video

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from math import sqrt
 from typing import Any
 
 import numpy as np
@@ -17,6 +16,7 @@ from controllers.controller import Controller
 from controllers.demonstrations import rollout
 from training.plants import SecondPlant
 from training.policy import Policy
+from training.study.statistics import wilson
 
 Array = NDArray[np.float64]
 
@@ -56,21 +56,6 @@ class Result:
             "length_std": float(self.length.std()),
             "failed": np.flatnonzero(~self.success).tolist(),
         }
-
-
-def wilson(successes: int, total: int, z: float = 1.959963984540054) -> tuple[float, float]:
-    """The 95 % interval of a proportion (Wilson 1927).
-
-    Args:
-        successes: how many of `total` succeeded.
-        total: at least one.
-        z: quantile of the normal distribution.
-    """
-    share = successes / total
-    center = share + z * z / (2 * total)
-    spread = z * sqrt(share * (1 - share) / total + z * z / (4 * total * total))
-    scale = 1 + z * z / total
-    return max(0.0, (center - spread) / scale), min(1.0, (center + spread) / scale)
 
 
 def evaluate(

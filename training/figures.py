@@ -2,16 +2,13 @@
 
 from __future__ import annotations
 
-import io
 import json
-from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from collections.abc import Mapping, Sequence
 from functools import partial
 from itertools import cycle
 from pathlib import Path
 from typing import Any
 
-import matplotlib
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
@@ -21,44 +18,15 @@ from mpl_toolkits.mplot3d import Axes3D
 from numpy.typing import NDArray
 
 from cdcsr.errors import CdcsrError
-from cdcsr.files import write_bytes
 from cdcsr.robot import Robot
 from training.evaluation import Result
 from training.metrics import read_metrics
+from training.style import INK, PALE, RUN_COLORS, SOFT, algorithm_title, drawn, short_count
 
 Array = NDArray[np.float64]
 
 REACHED_COLOR, MISSED_COLOR = "#23945a", "#d0323f"
-_RUN_COLORS = ("#1f5fa8", "#d9822b", "#7b4fa3", "#2f8f83", "#a23b5c", "#6b6b6b")
-_INK, _SOFT, _PALE = "#333333", "#999999", "#c9ccd1"
-_STYLE: dict[Any, Any] = {
-    "font.size": 10.0,
-    "axes.titlesize": 10.0,
-    "axes.edgecolor": _SOFT,
-    "axes.labelcolor": _INK,
-    "axes.spines.right": False,
-    "axes.spines.top": False,
-    "xtick.color": _INK,
-    "ytick.color": _INK,
-    "text.color": _INK,
-    "legend.frameon": False,
-    "grid.color": "#e6e6e6",
-    "grid.linewidth": 0.7,
-}
-_DPI = 160
 _ELEVATION, _AZIMUTH = 16, -58
-_ALGORITHMS = {"bc": "BC", "td3": "TD3", "batd3": "BATD3"}
-_ENGINES = {"mujoco": "MuJoCo", "pybullet": "PyBullet"}
-
-
-def algorithm_title(name: str) -> str:
-    """An algorithm's name as it is written in text."""
-    return _ALGORITHMS.get(name, name)
-
-
-def engine_title(name: str) -> str:
-    """An engine's name as it is written in text."""
-    return _ENGINES.get(name, name)
 
 
 def learning_curve(runs: Sequence[Path], path: Path, references: Mapping[str, float] | None = None) -> None:
@@ -76,18 +44,18 @@ def learning_curve(runs: Sequence[Path], path: Path, references: Mapping[str, fl
     histories = {run: rows for run, rows in histories.items() if rows}
     if not histories:
         raise CdcsrError(f"No run has metrics to draw yet: {', '.join(map(str, runs)) or 'none given'}.")
-    with _figure(path, (6.4, 3.6)) as figure:
+    with drawn(path, (6.4, 3.6)) as figure:
         axes = figure.add_subplot()
-        for (run, rows), color in zip(histories.items(), cycle(_RUN_COLORS), strict=False):
+        for (run, rows), color in zip(histories.items(), cycle(RUN_COLORS), strict=False):
             steps, low, high = (_column(rows, name) for name in ("environment_steps", "success_low", "success_high"))
             axes.fill_between(steps, low, high, color=color, alpha=0.15, lw=0)
             line = {"color": color, "lw": 2, "marker": "o", "ms": 3.5, "label": _label(run, rows)}
             axes.plot(steps, _column(rows, "success_rate"), clip_on=False, **line)
         for (label, rate), dashes in zip((references or {}).items(), cycle(("--", ":", "-.")), strict=False):
-            axes.axhline(rate, color=_SOFT, lw=1.3, ls=dashes, label=f"{label}: {rate:.2f}", zorder=1)
+            axes.axhline(rate, color=SOFT, lw=1.3, ls=dashes, label=f"{label}: {rate:.2f}", zorder=1)
         axes.set(xlabel="environment steps", ylabel="success on validation targets", ylim=(0, 1.02))
         axes.set_xlim(left=0)
-        axes.xaxis.set_major_formatter(_short_count)
+        axes.xaxis.set_major_formatter(short_count)
         axes.yaxis.set_major_formatter(PercentFormatter(1, decimals=0))
         axes.grid(axis="y")
         axes.set_axisbelow(True)
@@ -112,7 +80,7 @@ def targets_picture(results: Mapping[str, Result], robot: Robot, path: Path) -> 
     low, high = everything.min(axis=0), everything.max(axis=0)
     columns = min(2, len(results))
     rows = -(-len(results) // columns)
-    with _figure(path, (1.9 + 3.1 * columns, 0.5 + 3.1 * rows)) as figure:
+    with drawn(path, (1.9 + 3.1 * columns, 0.5 + 3.1 * rows)) as figure:
         grid = figure.add_gridspec(
             rows, columns + 1, width_ratios=[0.6] + [1] * columns,
             left=0.0, right=0.98, bottom=0.06, top=0.96, wspace=0.0, hspace=0.08,
@@ -121,7 +89,7 @@ def targets_picture(results: Mapping[str, Result], robot: Robot, path: Path) -> 
         span = 2 * robot.top + robot.arm_length
         _frame(overview, np.array([0.0, 0.0, robot.arm_length / 2]), span * np.array([0.22, 0.22, 0.55]), zoom=2)
         _draw_robot(overview, robot)
-        overview.scatter(*everything.T, s=2, color=_INK, lw=0, depthshade=False)
+        overview.scatter(*everything.T, s=2, color=INK, lw=0, depthshade=False)
         for artist in (*overview.lines, *overview.collections):
             artist.set_clip_on(False)  # a 3D view is square, and the robot higher than its column is wide
         overview.set_axis_off()
@@ -146,7 +114,7 @@ def targets_picture(results: Mapping[str, Result], robot: Robot, path: Path) -> 
 def _draw_targets(axes: Axes3D, result: Result) -> None:
     reached, missed = result.targets[result.success], result.targets[~result.success]
     shadow = np.column_stack([result.targets[:, :2], np.full(len(result.targets), axes.get_zlim()[0])])
-    axes.scatter(*shadow.T, s=5, color=_PALE, lw=0, depthshade=False)  # on the floor, to see how deep a point lies
+    axes.scatter(*shadow.T, s=5, color=PALE, lw=0, depthshade=False)  # on the floor, to see how deep a point lies
     axes.scatter(*reached.T, s=14, color=REACHED_COLOR, lw=0, depthshade=False, label="reached")
     axes.scatter(*missed.T, s=26, color=MISSED_COLOR, marker="x", lw=1.6, depthshade=False, label="missed")
 
@@ -156,9 +124,9 @@ def _draw_robot(axes: Axes3D, robot: Robot) -> None:
     x, y, z = (edge / 2 for edge in robot.base.size)
     around = np.array([(-x, -y), (x, -y), (x, y), (-x, y), (-x, -y)])
     for height in (-z, z):
-        axes.plot(around[:, 0], around[:, 1], np.full(5, height), color=_SOFT, lw=1)
+        axes.plot(around[:, 0], around[:, 1], np.full(5, height), color=SOFT, lw=1)
     for corner in around[:4]:
-        axes.plot([corner[0]] * 2, [corner[1]] * 2, [-z, z], color=_SOFT, lw=1)
+        axes.plot([corner[0]] * 2, [corner[1]] * 2, [-z, z], color=SOFT, lw=1)
     _draw_arm(axes, robot)
 
 
@@ -168,8 +136,8 @@ def _draw_arm(axes: Axes3D, robot: Robot) -> None:
     low, high = axes.get_zlim()
     inside = joints[(joints >= low) & (joints <= high)]
     line = np.clip([joints[0], joints[-1]], low, high)
-    axes.plot([0, 0], [0, 0], line, color=_PALE, lw=2.5, solid_capstyle="round")
-    axes.plot(np.zeros(len(inside)), np.zeros(len(inside)), inside, color=_SOFT, lw=0, marker="o", ms=3)
+    axes.plot([0, 0], [0, 0], line, color=PALE, lw=2.5, solid_capstyle="round")
+    axes.plot(np.zeros(len(inside)), np.zeros(len(inside)), inside, color=SOFT, lw=0, marker="o", ms=3)
 
 
 def _space(figure: Figure, place: SubplotSpec) -> Axes3D:
@@ -199,7 +167,7 @@ def _updates_axis(axes: Axes, histories: Sequence[list[dict[str, float]]]) -> No
     (ratio,) = ratios
     top = axes.secondary_xaxis("top", functions=(partial(np.multiply, 1 / ratio), partial(np.multiply, ratio)))
     top.set_xlabel("updates")
-    top.xaxis.set_major_formatter(_short_count)
+    top.xaxis.set_major_formatter(short_count)
 
 
 def _label(run: Path, rows: Sequence[Mapping[str, float]]) -> str:
@@ -213,22 +181,3 @@ def _label(run: Path, rows: Sequence[Mapping[str, float]]) -> str:
 
 def _column(rows: Sequence[Mapping[str, float]], name: str) -> Array:
     return np.array([row[name] for row in rows])
-
-
-def _short_count(value: float, _: float) -> str:
-    """1500000 as 1.5M."""
-    for unit, letter in ((1e6, "M"), (1e3, "k")):
-        if abs(value) >= unit:
-            return f"{value / unit:g}{letter}"
-    return f"{value:g}"
-
-
-@contextmanager
-def _figure(path: Path, size: tuple[float, float]) -> Iterator[Figure]:
-    """A figure that is written when the block ends. It belongs to no window and no global state."""
-    with matplotlib.rc_context(_STYLE):
-        figure = Figure(figsize=size, layout=None)
-        yield figure
-        data = io.BytesIO()
-        figure.savefig(data, format="png", dpi=_DPI, bbox_inches="tight", pad_inches=0.08)
-        write_bytes(path, data.getvalue())

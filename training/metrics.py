@@ -5,10 +5,10 @@ from __future__ import annotations
 import csv
 import time
 from pathlib import Path
+from typing import TYPE_CHECKING
 
-import torch
-from torch import Tensor
-from torch.utils.tensorboard import SummaryWriter
+if TYPE_CHECKING:
+    from torch import Tensor
 
 COLUMNS: tuple[str, ...] = (
     "update",
@@ -35,6 +35,8 @@ class Metrics:
     """
 
     def __init__(self, folder: Path, after: int) -> None:
+        from torch.utils.tensorboard import SummaryWriter  # here, so that reading metrics needs no torch
+
         self._path = folder / "metrics.csv"
         rows = [row for row in read_metrics(self._path) if row["update"] <= after] if after else []
         with self._path.open("w", newline="", encoding="utf-8") as file:
@@ -75,6 +77,8 @@ class Meter:
             self._values.setdefault(name, []).append(value)
 
     def take(self) -> dict[str, float]:
+        import torch
+
         means = {name: float(torch.stack(values).mean()) for name, values in self._values.items()}
         now = time.monotonic()
         means["updates_per_second"] = max(map(len, self._values.values()), default=0) / (now - self._since)

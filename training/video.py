@@ -18,7 +18,8 @@ from cdcsr.envs import ReachVectorEnv
 from cdcsr.files import write_bytes
 from cdcsr.robot import Robot
 from controllers.controller import Controller
-from training.figures import MISSED_COLOR, REACHED_COLOR, engine_title
+from training.figures import MISSED_COLOR, REACHED_COLOR
+from training.style import engine_title
 
 Array = NDArray[np.float64]
 Picture = NDArray[np.uint8]

@@ -1,0 +1,73 @@
+"""`python -m training.report`: every table and figure of the study, and a page of them, from its CSV files alone."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+
+from cdcsr.cli import run
+from cdcsr.errors import CdcsrError
+from cdcsr.files import new_folder, write_json, write_text
+
+PAGE = "README.md"
+
+
+def report(
+    *, results: Path = Path("results/study"), out: Path = Path("results/report"), json: Path | None = None
+) -> None:
+    """Rebuild every table and figure of the study from its committed results; no engine runs, nothing is trained.
+
+    Args:
+        results: folder of the study's results, one folder for each finished run.
+        out: folder of the report; one that is there already is replaced.
+        json: also write all tables to this file.
+    """
+    from training.study.figures import curve_figures
+    from training.study.page import beside_paper, missing, page
+    from training.study.plant_figures import follow_figures, plant_figures
+    from training.study.plants import check_axes
+    from training.study.records import load_expected, load_study
+    from training.study.tables import all_tables
+
+    runs, expected = load_study(results), load_expected(results)
+    if not runs:
+        raise CdcsrError(f"{results} holds no finished run; make some with `python -m training.experiments`.")
+    check_axes(runs)
+    _refuse_other_folder(out)
+    paper, tables = list(beside_paper(runs, expected)), list(all_tables(runs))
+    with new_folder(out, force=True) as folder:
+        figures = [*curve_figures(runs, folder), *follow_figures(runs, folder), *plant_figures(runs, folder)]
+        for table in (*paper, *tables):
+            write_text(folder / f"{table.name}.csv", table.csv())
+        write_text(folder / PAGE, page(runs, paper, tables, figures, expected))
+    if json is not None:
+        write_json(json, {
+            "runs": [one.name for one in runs],
+            "tables": {table.name: table.as_dict() for table in (*paper, *tables)},
+            "figures": dict(figures),
+            "not_run": None if expected is None else missing(runs, expected),
+        })  # fmt: skip
+    print(f"{out / PAGE}: {len(runs)} runs, {len(paper) + len(tables)} tables, {len(figures)} figures")
+
+
+def _refuse_other_folder(out: Path) -> None:
+    """Only a report is replaced.
+
+    Raises:
+        CdcsrError: the folder holds something else.
+    """
+    from training.study.page import TITLE
+
+    if out.is_dir() and any(out.iterdir()):
+        place = out / PAGE
+        if not place.is_file() or not place.read_text("utf-8", errors="replace").startswith(TITLE):
+            raise CdcsrError(f"{out} holds something that is no report; give another folder with --out.")
+
+
+def main() -> int:
+    """Rebuild the report from the command line."""
+    return run(report, "training.report", sys.argv[1:])
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,86 @@
+"""Sweeps of the plant: one number of it at a time, away from what was trained on."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from cdcsr.errors import CdcsrError, unknown_choice
+from training.study.records import Run
+from training.study.statistics import Sweep
+
+
+@dataclass(frozen=True)
+class Axis:
+    """A number of the plant."""
+
+    title: str
+    nominal: float = 1.0
+    """The level that was trained on; 1 for factors."""
+
+
+AXES = {
+    "link_mass": Axis("link mass, factor"),
+    "link_inertia": Axis("link inertia, factor"),
+    "base_mass": Axis("base mass, factor"),
+    "base_inertia": Axis("base inertia, factor"),
+    "joint_stiffness": Axis("joint stiffness, factor"),
+    "joint_damping": Axis("joint damping, factor"),
+    "servo_gain": Axis("servo gain, factor"),
+    "slider_damping": Axis("slider damping, factor"),
+    "cable_softness": Axis("cable softness, factor"),
+    "rest_length_offset": Axis("rest length, offset [m]", 0.0),
+    "command_delay": Axis("command delay [steps]", 0.0),
+    "observation_delay": Axis("observation delay [actions]", 0.0),
+    "time_step": Axis("time step, factor"),
+    "engine_defaults": Axis("engine's own defaults", 0.0),
+}
+"""By the names in the evaluation's files, in the order of tables."""
+
+
+def sweeps(runs: Sequence[Run], axis: str, engine: str, space: str) -> dict[str, Sweep]:
+    """The sweeps of some seeds along one axis, in one engine and space, by the names of their runs.
+
+    Where the file lacks the level that was trained on, it comes from the nominal evaluation. A level at which the
+    plant diverged has no rows, and is no level of the sweep.
+
+    Args:
+        runs: any.
+        axis: one of :data:`AXES`.
+        engine: where they were tested.
+        space: the space they were tested in.
+
+    Raises:
+        CdcsrError: the levels of a run have different episodes.
+    """
+    found = {}
+    for run in runs:
+        if "plants" not in run.evaluations:
+            continue
+        plants = run.evaluations["plants"].where(backend=engine, space=space, axis=axis)
+        if not len(plants):
+            continue
+        columns = {float(level): plants.where(level=level) for level in np.unique(plants.level)}
+        if AXES[axis].nominal not in columns and "nominal" in run.evaluations:
+            columns[AXES[axis].nominal] = run.evaluations["nominal"].where(backend=engine, space=space)
+        ordered = [columns[level] for level in sorted(columns)]
+        if any(not np.array_equal(one.episode, ordered[0].episode) for one in ordered):
+            raise CdcsrError(f"Run {run.name}: levels of {axis} have different episodes; evaluate it again.")
+        outcomes = np.stack([one.success for one in ordered], axis=1)
+        found[run.name] = Sweep(np.array(sorted(columns)), outcomes)
+    return found
+
+
+def check_axes(runs: Sequence[Run]) -> None:
+    """Refuse a sweep whose nominal level is not known.
+
+    Raises:
+        CdcsrError: an axis is none of :data:`AXES`.
+    """
+    for run in runs:
+        if "plants" in run.evaluations:
+            for name in np.unique(run.evaluations["plants"].axis):
+                if name not in AXES and name != "nominal":
+                    raise CdcsrError(f"Run {run.name}: " + unknown_choice("axis of the plant", str(name), AXES))
