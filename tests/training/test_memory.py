@@ -23,7 +23,7 @@ def _episode(length: int, mark: float, success: bool = True) -> FinishedEpisode:
 
 
 def _memory(**numbers: object) -> Memory:
-    learner = dataclasses.replace(Learner(batch_size=40, capacity=1000), **numbers)
+    learner = dataclasses.replace(Learner(batch_size=40, capacity=1000), **numbers)  # type: ignore[arg-type]
     return Memory(_ROBOT, learner, lambda observations: np.float32(observations[:, : _ROBOT.num_cables] + 1), 0.03)
 
 

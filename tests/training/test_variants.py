@@ -6,7 +6,7 @@ import dataclasses
 import json
 from collections.abc import Callable
 from pathlib import Path
-from typing import get_args
+from typing import cast, get_args
 
 import numpy as np
 import pytest
@@ -135,9 +135,9 @@ def test_what_each_begins_with(tmp_path: Path, demonstrations: Path, algorithm: 
         hidden=(16, 16), batch_size=4, num_envs=2, updates=2, bc_updates=400, bc_rollouts=6,
     )  # fmt: skip
     config = Train(
-        tmp_path / "run", algorithm, space="anchor", frame_skip=_SKIP, demonstrations=demonstrations,
+        tmp_path / "run", cast(AlgorithmName, algorithm), space="anchor", frame_skip=_SKIP, demonstrations=demonstrations,
         evaluate_every=0, evaluate_episodes=1, stop_after=0.0, learner=small,
-    )  # type: ignore[arg-type]  # fmt: skip
+    )  # fmt: skip
     train(config)
     with safe_open(tmp_path / "run" / "state.safetensors", framework="pt") as file:
         sizes = {name: size for name, (_, size) in json.loads(file.metadata()["run"])["replays"].items()}
