@@ -14,6 +14,7 @@ def demonstrate(
     seed: int = 0,
     robot: str = "paper",
     frame_skip: int = 1,
+    task: str = "reach",
     force: bool = False,
     json: Path | None = None,
 ) -> None:
@@ -27,10 +28,11 @@ def demonstrate(
         seed: of the targets.
         robot: a shipped robot's name, or a path ending in .toml.
         frame_skip: simulation steps each command is held for.
+        task: reach, precise, quiet, capture, capture-drift, capture-tumble, follow-line, -circle or -random.
         force: replace an existing folder.
         json: also write the summary to this file.
     """
-    from cdcsr.envs import ReachVectorEnv
+    from cdcsr.envs import TaskVectorEnv
     from cdcsr.errors import CdcsrError
     from cdcsr.files import new_folder, write_json
     from controllers import demonstrations
@@ -39,7 +41,9 @@ def demonstrate(
     if episodes < 1:
         raise CdcsrError(f"episodes must be at least 1, not {episodes}.")
     with new_folder(out, force) as folder:
-        env = ReachVectorEnv(episodes, robot, backend, space, frame_skip=frame_skip, autoreset_mode="Disabled")
+        env = TaskVectorEnv(
+            episodes, robot, backend, space, frame_skip=frame_skip, task=task, autoreset_mode="Disabled"
+        )
         controller = JacobianController(env.robot)
         recorded, failed = demonstrations.record(controller, env, episodes, seed)
         demonstrations.save(folder, recorded, env, controller.name, out.name)
@@ -48,6 +52,7 @@ def demonstrate(
     summary = {
         "out": str(out),
         "robot": env.robot.name,
+        "task": env.task.name,
         "backend": backend,
         "space": space,
         "seed": seed,
@@ -58,7 +63,7 @@ def demonstrate(
         "targets": [episode.target.tolist() for episode in recorded],
     }
     print(
-        f"{len(recorded)} demonstrations of {env.robot.name} in {backend} ({space}, seed {seed}): "
+        f"{len(recorded)} demonstrations of {env.robot.name} in {backend} ({env.task.name}, {space}, seed {seed}): "
         f"{sum(lengths)} steps, {summary['length_mean']:.1f} on average, {failed} failed and drawn anew -> {out}"
     )
     if json is not None:

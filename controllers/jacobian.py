@@ -20,7 +20,8 @@ class JacobianController(Controller):
     The tip velocity after a control period h is predicted as linear in the cable tensions t:
     v+ = J (qd + h (M + h D + h^2 K)^-1 (f - L^T t)), with M, J (base columns included, so the momentum
     exchanged with the base is in it) and the cable Jacobian L without the sliders, D and K the hinges' damping
-    and stiffness, and f = passive - bias - h K qd. The wish is v* = gain (target - tip), its norm capped.
+    and stiffness, and f = passive - bias - h K qd. The wish is v* = gain (target - tip), its norm capped, plus the
+    target's velocity, which this controller may know and a policy may not: so the tip slows down and stays.
     The command makes each servo pull with its tension: a = travel - t / servo gain.
 
     Args:
@@ -51,6 +52,7 @@ class JacobianController(Controller):
         error = env.targets[ids] - state.tip_position[ids]
         wish = self.gain * error
         wish *= np.minimum(1, self.speed / np.maximum(np.linalg.norm(wish, axis=1, keepdims=True), 1e-12))
+        wish += env.target_velocity[ids]
         period = env.robot.time_step * env.frame_skip
         offset, slope = self._predict(env.simulation.dynamics(ids), period)
         tension = np.array([self._tensions(s, w - o) for s, w, o in zip(slope, wish, offset, strict=True)])

@@ -197,7 +197,7 @@ class Run:
                 for episode in collector.step(algorithm.actor):
                     recent.append(episode.success)
                     replay.add_episode(
-                        episode.observations, episode.actions, episode.rewards, episode.success,
+                        episode.observations, episode.actions, episode.rewards, episode.terminated,
                         _actions(clone, episode.observations),
                     )  # fmt: skip
                 if replay.size >= learner.batch_size:
