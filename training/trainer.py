@@ -19,7 +19,7 @@ from cdcsr.errors import CdcsrError
 from cdcsr.files import write_json
 from cdcsr.robot import Robot, load_robot
 from cdcsr.simulation import load_backend
-from cdcsr.spaces import make_space
+from cdcsr.spaces import demonstration_space, make_space
 from cdcsr.tasks import observation_size
 from controllers import demonstrations
 from controllers.demonstrations import Episode
@@ -112,7 +112,7 @@ class Run:
         if config.demonstrations is not None:
             return demonstrations.load(config.demonstrations, self.robot.fingerprint, config.frame_skip)
         print(f"Recording {DEMONSTRATIONS} demonstrations in {config.backend} (seed 0)", flush=True)
-        env = self._env(DEMONSTRATIONS, "anchor", autoreset="Disabled")
+        env = self._env(DEMONSTRATIONS, demonstration_space(config.space), autoreset="Disabled")
         episodes, _ = demonstrations.record(JacobianController(self.robot), env, DEMONSTRATIONS, seed=0)
         env.close()
         return episodes
