@@ -293,7 +293,7 @@ class Follow(Task):
         """Share of actions since the first contact that left the tip on target (0 before it), and base errors."""
         shift, tilt = base_errors(state.base_position, state.base_quaternion)
         return {
-            "share_on_target": np.divide(memory["on_target"], np.maximum(memory["since_contact"], 1), dtype=np.float64),
+            "share_on_target": memory["on_target"].astype(np.float64) / np.maximum(memory["since_contact"], 1),
             "base_position_error": shift,
             "base_attitude_error": tilt,
         }

@@ -9,6 +9,7 @@ import io
 from dataclasses import dataclass
 from importlib import resources
 from pathlib import Path
+from zipfile import BadZipFile
 
 import numpy as np
 from numpy.typing import NDArray
@@ -77,7 +78,7 @@ def load_workspace(robot: Robot, path: Path | None = None) -> Workspace:
     try:
         with np.load(io.BytesIO(data), allow_pickle=False) as arrays:
             found = Workspace(str(arrays["robot"]), arrays["origin"], arrays["edges"], arrays["cells"])
-    except (OSError, ValueError, KeyError, EOFError) as error:
+    except (OSError, ValueError, KeyError, EOFError, BadZipFile) as error:
         raise CdcsrError(f"{shown} is no map of a workspace ({type(error).__name__}); {remedy}.") from None
     if found.robot != robot.fingerprint:
         raise CdcsrError(f"The map {shown} is of another robot ({found.robot}, not {robot.fingerprint}); {remedy}.")

@@ -89,15 +89,19 @@ def draw_workspace(workspace: Workspace, robot: Robot, path: Path) -> None:
             np.where(counts > 0, counts, np.nan), origin="lower", cmap="viridis_r", aspect="equal",
             extent=(low[across], high[across], low[up], high[up]),
         )  # fmt: skip
+        margin = 0.1
         if up == 2:
-            ax.plot([0, 0], [robot.top, robot.top + robot.arm_length], color="black", label="arm, straight")
-            ax.legend(loc="lower left")
+            ax.plot([0, 0], [robot.top, robot.top + robot.arm_length], color="black", lw=2)
+        ax.set_xlim(low[across] - margin, high[across] + margin)
+        ax.set_ylim(low[up] - margin, high[up] + margin)
         center, edge = np.array(robot.workspace.center), np.array(robot.workspace.size)
         corner = (center - edge / 2)[[across, up]]
         ax.add_patch(Rectangle(tuple(corner), edge[across], edge[up], fill=False, color="tab:red"))
         ax.set_xlabel(f"{'xyz'[across]} [m]")
         ax.set_ylabel(f"{'xyz'[up]} [m]")
         figure.colorbar(image, ax=ax, label=f"cells along {'xyz'[along]}", shrink=0.8)
-    figure.suptitle(f"Workspace of {robot.name}: {len(workspace.cells)} cells reached; the Anchor Space in red")
+    figure.suptitle(
+        f"Workspace of {robot.name}: {len(workspace.cells)} cells reached; the straight arm in black, the Anchor Space in red"
+    )
     path.parent.mkdir(parents=True, exist_ok=True)
     figure.savefig(path, dpi=110)
