@@ -1,8 +1,15 @@
 """Cable-driven continuum space robots: one description, any engine, and the tasks they are given.
 
-Importing this package makes the environment `cdcsr/Reach-v0` known to Gymnasium.
+Importing this package makes the environments `cdcsr/Reach-v0`, `cdcsr/Capture-v0` and `cdcsr/Follow-v0` known to
+Gymnasium.
 """
 
 import gymnasium
 
-gymnasium.register("cdcsr/Reach-v0", entry_point="cdcsr.envs:ReachEnv", vector_entry_point="cdcsr.envs:ReachVectorEnv")
+for _id, _task in (("Reach", "reach"), ("Capture", "capture"), ("Follow", "follow-line")):
+    gymnasium.register(
+        f"cdcsr/{_id}-v0",
+        entry_point="cdcsr.envs:TaskEnv",
+        vector_entry_point="cdcsr.envs:TaskVectorEnv",
+        kwargs={"task": _task},
+    )

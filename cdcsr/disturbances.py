@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from cdcsr.delays import DelayLine, check_delay
 from cdcsr.errors import CdcsrError
+from cdcsr.generators import pack_generator, unpack_generator
 from cdcsr.tasks import BASE_POSITION
 
 Array = NDArray[np.float64]
@@ -49,9 +51,7 @@ class Channel:
         observation = self._noisy(observation)
         if self._received is None:
             self._received = observation
-            every, delay = np.arange(len(observation)), np.full(len(observation), self._is.observation_delay)
-            self._line = DelayLine(*observation.shape)
-            self._line.set_delay(every, delay)
+            self._open()
         else:
             self._received = np.where(fresh[:, None], observation, self._received)
         self._line.fill(np.flatnonzero(fresh), observation[fresh])
@@ -70,6 +70,29 @@ class Channel:
         if self._is.action_noise == 0:
             return command
         return command + self._rng.normal(scale=self._is.action_noise, size=command.shape)
+
+    def get_state(self) -> dict[str, NDArray[Any]]:
+        """All that determines what it does from here on; there is none before the first episode."""
+        assert self._received is not None
+        return {
+            "received": self._received.copy(),
+            "under_way": self._line.sent,
+            "generator": pack_generator(self._rng),
+        }
+
+    def set_state(self, state: dict[str, NDArray[Any]]) -> None:
+        """Go on from a state of a channel with the same disturbances."""
+        self._received = state["received"].copy()
+        self._open()
+        self._line.sent = state["under_way"]
+        unpack_generator(self._rng, state["generator"])
+
+    def _open(self) -> None:
+        """A new line for as many copies as have received something."""
+        assert self._received is not None
+        num = len(self._received)
+        self._line = DelayLine(*self._received.shape)
+        self._line.set_delay(np.arange(num), np.full(num, self._is.observation_delay))
 
     def _noisy(self, observation: Array) -> Array:
         if self._is.base_noise == 0:

@@ -1,8 +1,9 @@
-"""Operation spaces: where targets lie. The three of the BATD3 paper (Tian et al., section V-A)."""
+"""Operation spaces: where targets lie. The three of the BATD3 paper (Tian et al., section V-A), and all around."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Protocol
 
 import numpy as np
@@ -10,12 +11,16 @@ from numpy.typing import NDArray
 
 from cdcsr.errors import CdcsrError, unknown_choice
 from cdcsr.robot import Robot
+from cdcsr.workspaces import load_workspace
 
 Array = NDArray[np.float64]
 
 RADIUS = {"floating": 0.01, "spatter": 0.15}
 """How far targets lie from the demonstrations' targets, xi_F and xi_S in [m]."""
 SPACES = ("anchor", *RADIUS)
+"""Those of the paper, which every robot has."""
+WORKSPACE = "workspace"
+"""All that the demonstrator reaches, for a robot of which there is a map."""
 
 
 class Space(Protocol):
@@ -64,6 +69,11 @@ def demonstration_targets(robot: Robot, num: int = 10, seed: int = 0) -> Array:
     return anchor(robot).sample(np.random.default_rng(seed), num)
 
 
+def demonstration_space(name: str) -> str:
+    """Where the demonstrations for learning in a space are taken: in the Anchor Space, or all around in a workspace."""
+    return name if name == WORKSPACE or name.endswith(".npz") else "anchor"
+
+
 def anchor(robot: Robot) -> Anchor:
     """The Anchor Space of a robot."""
     return Anchor(robot.workspace.center, robot.workspace.size)
@@ -73,17 +83,19 @@ def make_space(name: str, robot: Robot, centers: Array | None = None) -> Space:
     """The operation space of that name.
 
     Args:
-        name: one of :data:`SPACES`.
+        name: one of :data:`SPACES`, "workspace", or the path of a map of a workspace, which ends in .npz.
         robot: whose workspace it is.
         centers: targets of the demonstrations, shape (n, 3); by default those of seed 0.
 
     Raises:
-        CdcsrError: there is no such space.
+        CdcsrError: there is no such space, or no map of the robot's workspace.
     """
     if name == "anchor":
         return anchor(robot)
+    if name == WORKSPACE or name.endswith(".npz"):
+        return load_workspace(robot, None if name == WORKSPACE else Path(name))
     if name not in RADIUS:
-        raise CdcsrError(unknown_choice("space", name, SPACES))
+        raise CdcsrError(unknown_choice("space", name, (*SPACES, WORKSPACE)))
     if centers is None:
         centers = demonstration_targets(robot)
     return Around(name, np.asarray(centers, dtype=float), RADIUS[name])

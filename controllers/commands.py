@@ -1,4 +1,4 @@
-"""The commands `cdcsr demonstrate`, `cdcsr replay` and `cdcsr parity`."""
+"""The commands `cdcsr demonstrate`, `cdcsr replay`, `cdcsr workspace` and `cdcsr parity`."""
 
 from __future__ import annotations
 
@@ -14,6 +14,7 @@ def demonstrate(
     seed: int = 0,
     robot: str = "paper",
     frame_skip: int = 1,
+    task: str = "reach",
     force: bool = False,
     json: Path | None = None,
 ) -> None:
@@ -22,15 +23,16 @@ def demonstrate(
     Args:
         out: the folder of the dataset.
         backend: the engine.
-        space: where targets are drawn: anchor, floating or spatter.
+        space: where targets are drawn: anchor, floating, spatter or workspace.
         episodes: how many successful episodes.
         seed: of the targets.
         robot: a shipped robot's name, or a path ending in .toml.
         frame_skip: simulation steps each command is held for.
+        task: reach, precise, quiet, capture, capture-drift, capture-tumble, follow-line, -circle or -random.
         force: replace an existing folder.
         json: also write the summary to this file.
     """
-    from cdcsr.envs import ReachVectorEnv
+    from cdcsr.envs import TaskVectorEnv
     from cdcsr.errors import CdcsrError
     from cdcsr.files import new_folder, write_json
     from controllers import demonstrations
@@ -39,7 +41,9 @@ def demonstrate(
     if episodes < 1:
         raise CdcsrError(f"episodes must be at least 1, not {episodes}.")
     with new_folder(out, force) as folder:
-        env = ReachVectorEnv(episodes, robot, backend, space, frame_skip=frame_skip, autoreset_mode="Disabled")
+        env = TaskVectorEnv(
+            episodes, robot, backend, space, frame_skip=frame_skip, task=task, autoreset_mode="Disabled"
+        )
         controller = JacobianController(env.robot)
         recorded, failed = demonstrations.record(controller, env, episodes, seed)
         demonstrations.save(folder, recorded, env, controller.name, out.name)
@@ -48,6 +52,7 @@ def demonstrate(
     summary = {
         "out": str(out),
         "robot": env.robot.name,
+        "task": env.task.name,
         "backend": backend,
         "space": space,
         "seed": seed,
@@ -58,7 +63,7 @@ def demonstrate(
         "targets": [episode.target.tolist() for episode in recorded],
     }
     print(
-        f"{len(recorded)} demonstrations of {env.robot.name} in {backend} ({space}, seed {seed}): "
+        f"{len(recorded)} demonstrations of {env.robot.name} in {backend} ({env.task.name}, {space}, seed {seed}): "
         f"{sum(lengths)} steps, {summary['length_mean']:.1f} on average, {failed} failed and drawn anew -> {out}"
     )
     if json is not None:
@@ -98,6 +103,57 @@ def replay(
         )
     if json is not None:
         write_json(json, results)
+
+
+def workspace(
+    robot: str,
+    /,
+    *,
+    out: Path,
+    backend: str = "mujoco",
+    spacing: float = 0.05,
+    frame_skip: int = 5,
+    plot: Path | None = None,
+    json: Path | None = None,
+) -> None:
+    """Map what the scripted Jacobian controller reaches in an episode, all around the arm.
+
+    The map is an operation space: give its file as --space to other commands.
+
+    Args:
+        robot: a shipped robot's name, or a path ending in .toml.
+        out: the map, an .npz file.
+        backend: the engine.
+        spacing: of the grid of targets that are tried, in m.
+        frame_skip: simulation steps each command is held for; fewer take longer.
+        plot: also draw the map into this PNG file.
+        json: also write the summary to this file.
+    """
+    from cdcsr.errors import CdcsrError
+    from cdcsr.files import write_json
+    from cdcsr.robot import load_robot
+    from controllers.workspace import compute_workspace, draw_workspace
+
+    if out.suffix != ".npz":
+        raise CdcsrError(f"A map is an .npz file, not {out.name!r}.")
+    if not spacing > 0:
+        raise CdcsrError(f"spacing must be positive, not {spacing:g}.")
+    description = load_robot(robot)
+    counts = {"tried": 0, "reached": 0}
+
+    def progress(tried: int, reached: int) -> None:
+        counts.update(tried=tried, reached=reached)
+        print(f"\r{tried} targets tried, {reached} reached", end="", flush=True)
+
+    found = compute_workspace(description, backend, spacing, frame_skip, progress)
+    print()
+    found.save(out)
+    print(f"{len(found.cells)} cells of edge {spacing:g} m around {description.name} -> {out}")
+    if plot is not None:
+        draw_workspace(found, description, plot)
+    if json is not None:
+        summary = {"out": str(out), "robot": description.name, "backend": backend, "spacing": spacing, **counts}
+        write_json(json, {**summary, "cells": len(found.cells)})
 
 
 def parity(

@@ -26,7 +26,11 @@ class Episode:
     actions: Array
     """(T, C) servo set-points in [m]."""
     target: Array
-    """(3,) world frame, in [m]."""
+    """(3,) where it was in the beginning, world frame, in [m]."""
+    rewards: Array
+    """(T,)."""
+    terminated: bool
+    """It ended by success, and not by running out of time, as an episode of following does."""
 
     @property
     def length(self) -> int:
@@ -42,9 +46,13 @@ class Rollout:
     actions: Array
     """(N, steps, C) servo set-points in [m]."""
     targets: Array
-    """(N, 3) world frame, in [m]."""
+    """(N, 3) where they were in the beginning, world frame, in [m]."""
+    rewards: Array
+    """(N, steps)."""
     success: NDArray[np.bool_]
     """(N,)."""
+    terminated: NDArray[np.bool_]
+    """(N,) ended by success, and not by running out of time."""
     length: NDArray[np.int64]
     """(N,) actions until the end of each episode."""
     distance: Array
@@ -52,11 +60,16 @@ class Rollout:
 
     def successes(self) -> list[Episode]:
         """The successful episodes, each cut to its length."""
-        return [
-            Episode(self.observations[i, : n + 1], self.actions[i, :n], self.targets[i])
-            for i, n in enumerate(self.length)
-            if self.success[i]
-        ]
+        return [self._episode(i, n) for i, n in enumerate(self.length) if self.success[i]]
+
+    def _episode(self, i: int, length: int) -> Episode:
+        return Episode(
+            self.observations[i, : length + 1],
+            self.actions[i, :length],
+            self.targets[i],
+            self.rewards[i, :length],
+            bool(self.terminated[i]),
+        )
 
 
 def record(controller: Controller, env: ReachVectorEnv, num: int, seed: int) -> tuple[list[Episode], int]:
@@ -95,20 +108,24 @@ def rollout(controller: Controller, env: ReachVectorEnv, observation: Array) -> 
     """One episode per copy, from the observation of a reset."""
     num = env.num_envs
     active = np.ones(num, dtype=bool)
-    success, length, distance = np.zeros(num, dtype=bool), np.zeros(num, dtype=np.int64), np.full(num, np.inf)
-    observations, actions = [observation], []
+    success, ended = np.zeros((2, num), dtype=bool)
+    length, distance = np.zeros(num, dtype=np.int64), np.full(num, np.inf)
+    observations, actions, rewards, targets = [observation], [], [], env.targets.copy()
     while active.any():
         action = controller.act(env, observation, active)
-        observation, _, terminated, truncated, info = env.step(action)
+        observation, reward, terminated, truncated, info = env.step(action)
         observations.append(observation)
         actions.append(action)
+        rewards.append(reward)
         length[active] += 1
         distance[active] = info["distance"][active]
-        success |= active & terminated
+        success[active] = info["is_success"][active]
+        ended |= active & terminated
         active &= ~(terminated | truncated)
     return Rollout(
-        np.stack(observations, axis=1), np.stack(actions, axis=1), env.targets.copy(), success, length, distance
-    )
+        np.stack(observations, axis=1), np.stack(actions, axis=1), targets, np.stack(rewards, axis=1),
+        success, ended, length, distance,
+    )  # fmt: skip
 
 
 def save(folder: Path, episodes: list[Episode], env: ReachVectorEnv, controller: str, dataset_id: str) -> None:
@@ -117,8 +134,9 @@ def save(folder: Path, episodes: list[Episode], env: ReachVectorEnv, controller:
     from minari.data_collector import EpisodeBuffer
     from minari.dataset.minari_storage import MinariStorage
 
-    spec = copy.deepcopy(gymnasium.spec("cdcsr/Reach-v0"))
+    spec = copy.deepcopy(gymnasium.spec(f"cdcsr/{env.task.kind.capitalize()}-v0"))
     spec.kwargs = {
+        "task": env.task.name,
         "robot": env.robot.name,
         "backend": env.backend,
         "space": env.space.name,
@@ -130,9 +148,10 @@ def save(folder: Path, episodes: list[Episode], env: ReachVectorEnv, controller:
             "dataset_id": dataset_id,
             "minari_version": minari.__version__,
             "algorithm_name": controller,
-            "description": "Successful reaches of a cable-driven continuum space robot.",
+            "description": f"Successful episodes of {env.task.name!r} by a cable-driven continuum space robot.",
             "robot": env.robot.name,
             "robot_fingerprint": env.robot.fingerprint,
+            "task": env.task.name,
             "backend": env.backend,
             "space": env.space.name,
             "frame_skip": env.frame_skip,
@@ -140,33 +159,32 @@ def save(folder: Path, episodes: list[Episode], env: ReachVectorEnv, controller:
     )
     buffers = []
     for i, episode in enumerate(episodes):
-        last = np.zeros(episode.length, dtype=bool)
-        last[-1] = True
+        last = np.arange(1, episode.length + 1) == episode.length
         buffers.append(
             EpisodeBuffer(
                 id=i,
                 observations=list(episode.observations),
                 actions=list(episode.actions),
-                rewards=list(last.astype(np.float64)),
-                terminations=list(last),
-                truncations=[False] * episode.length,
+                rewards=list(episode.rewards),
+                terminations=list(last & episode.terminated),
+                truncations=list(last & (not episode.terminated)),
             )
         )
     storage.update_episodes(buffers)
 
 
-def load(folder: Path, robot_fingerprint: str, frame_skip: int = 1) -> list[Episode]:
+def load(folder: Path, robot_fingerprint: str, frame_skip: int = 1, task: str = "reach") -> list[Episode]:
     """Read the episodes of a dataset written by :func:`save`.
 
     Raises:
-        CdcsrError: it is no such dataset, or of another robot or frame skip.
+        CdcsrError: it is no such dataset, or of another robot, frame skip or task.
     """
     from minari import MinariDataset
 
     try:
         dataset = MinariDataset(folder / "data")
         metadata = dataset.storage.metadata
-        found = metadata["robot_fingerprint"], metadata["frame_skip"]
+        found = metadata["robot_fingerprint"], metadata["frame_skip"], metadata["task"]
         stored = list(dataset.iterate_episodes())
     except (OSError, KeyError, ValueError, AssertionError) as error:
         raise CdcsrError(f"{folder} holds no demonstrations made by `cdcsr demonstrate`: {error}.") from None
@@ -177,6 +195,15 @@ def load(folder: Path, robot_fingerprint: str, frame_skip: int = 1) -> list[Epis
         )
     if found[1] != frame_skip:
         raise CdcsrError(f"The demonstrations in {folder} have frame_skip {found[1]}, not {frame_skip}.")
+    if found[2] != task:
+        raise CdcsrError(
+            f"The demonstrations in {folder} are of the task {found[2]!r}, not {task!r}; record some with "
+            f"`cdcsr demonstrate --task {task}`."
+        )
     return [
-        Episode(np.asarray(e.observations), np.asarray(e.actions), np.asarray(e.observations)[0, 6:9]) for e in stored
-    ]
+        Episode(
+            np.asarray(e.observations), np.asarray(e.actions), np.asarray(e.observations)[0, 6:9],
+            np.asarray(e.rewards, dtype=np.float64), bool(np.asarray(e.terminations)[-1]),
+        )
+        for e in stored
+    ]  # fmt: skip

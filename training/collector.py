@@ -11,12 +11,14 @@ import torch
 from numpy.typing import NDArray
 
 from cdcsr.envs import ReachVectorEnv
-from cdcsr.simulation import Snapshot
 from cdcsr.tasks import observation_size
 from training.config import Learner
 from training.networks import Actor
 
 Array = NDArray[np.float64]
+
+_ENVIRONMENT = "environment."
+"""Begins the names of the environment's arrays among the collector's."""
 
 
 @dataclass(frozen=True)
@@ -30,6 +32,8 @@ class FinishedEpisode:
     rewards: Array
     """(T,)."""
     success: bool
+    terminated: bool
+    """It ended by success; otherwise by running out of time, which may be a success where a target is followed."""
 
 
 def exploration_noise(learner: Learner) -> Array:
@@ -91,51 +95,26 @@ class Collector:
                 self._observations[i, : length + 1],
                 self._actions[i, :length],
                 self._rewards[i, :length],
+                bool(info["final_info"]["is_success"][i]),
                 bool(terminated[i]),
             )
 
     def state_arrays(self) -> dict[str, NDArray[Any]]:
-        """All that is needed to go on from here, but for the random generators."""
-        env, snapshot = self.env, self.env.simulation.get_snapshot()
-        plants = {} if env.randomization is None else env.randomization.drawn
-        under_way = {} if snapshot.commands is None else {"commands": snapshot.commands}
-        return {
+        """All that is needed to go on from here, but for the generator of the noise."""
+        own = {
             "observations": self._observations,
             "actions": self._actions,
             "rewards": self._rewards,
             "noise": self._noise,
             "count": np.array(self._count),
             "observation": self._observation,
-            "targets": env.targets,
-            "actions_taken": env.actions_taken,
-            "time": snapshot.time,
-            "position": snapshot.position,
-            "velocity": snapshot.velocity,
-            "private": snapshot.private,
-            **under_way,
-            **{f"plant.{name}": values for name, values in plants.items()},
         }
+        return own | {f"{_ENVIRONMENT}{name}": rows for name, rows in self.env.get_state().items()}
 
     def load_state_arrays(self, arrays: dict[str, NDArray[Any]]) -> None:
         """Go on from arrays made by :meth:`state_arrays`."""
-        env = self.env
-        # Begins the channel of observations too, which has no other state when nothing is disturbed.
-        env.reset(options={"targets": arrays["targets"]})
-        env.actions_taken[:] = arrays["actions_taken"]
-        if env.randomization is not None:
-            drawn = {name: arrays[f"plant.{name}"] for name in env.randomization.drawn}
-            env.randomization.restore(env.simulation, drawn)
-        env.simulation.set_snapshot(
-            Snapshot(
-                env.simulation.engine,
-                env.robot.fingerprint,
-                arrays["time"],
-                arrays["position"],
-                arrays["velocity"],
-                arrays["private"],
-                arrays.get("commands"),
-            )
-        )
+        environment = {k.removeprefix(_ENVIRONMENT): v for k, v in arrays.items() if k.startswith(_ENVIRONMENT)}
+        self.env.set_state(environment)
         self._observations[:], self._actions[:] = arrays["observations"], arrays["actions"]
         self._rewards[:], self._noise[:] = arrays["rewards"], arrays["noise"]
         self._count = int(arrays["count"])

@@ -16,6 +16,7 @@ def evaluate(
     *,
     backend: str = "all",
     space: str | None = None,
+    task: str | None = None,
     episodes: int = 100,
     seed: int | None = None,
     robot: str = "paper",
@@ -29,7 +30,8 @@ def evaluate(
     Args:
         policy: folder of a policy or a run, name of a shipped policy, or "jacobian" for the demonstrator.
         backend: an engine, or all.
-        space: anchor, floating or spatter; by default the one the policy was trained in.
+        space: anchor, floating, spatter or workspace; by default the one the policy was trained in.
+        task: what it is to do; by default what it was trained for.
         episodes: how many, run as one batch.
         seed: of the targets; by default the one that nothing is tuned on.
         robot: the robot of the scripted demonstrator; a policy brings its own.
@@ -44,7 +46,7 @@ def evaluate(
     controller, description = find_controller(policy, robot)
     spaces = [space or trained_space(controller)]
     _report([controller], description, backend, spaces, episodes, seed, json,
-            Disturbances(action_noise, base_noise, packet_loss))  # fmt: skip
+            Disturbances(action_noise, base_noise, packet_loss), task or trained_task(controller))  # fmt: skip
 
 
 def transfer(
@@ -53,6 +55,7 @@ def transfer(
     *,
     backend: str = "all",
     space: str = "all",
+    task: str = "reach",
     episodes: int = 100,
     seed: int | None = None,
     json: Path | None = None,
@@ -62,7 +65,8 @@ def transfer(
     Args:
         policies: folders of policies or runs, names of shipped policies, or "jacobian" for the demonstrator.
         backend: an engine, or all.
-        space: anchor, floating or spatter, or all.
+        space: anchor, floating, spatter or workspace; or all, which is the first three.
+        task: what they are to do.
         episodes: in each cell, run as one batch.
         seed: of the targets; by default the one that nothing is tuned on.
         json: also write the results, each episode included, to this file.
@@ -77,7 +81,7 @@ def transfer(
     controllers = [find_controller(name, "paper") for name in policies]
     robots = [robot for c, robot in controllers if isinstance(c, Policy)] or [controllers[0][1]]
     spaces = list(SPACES) if space == "all" else [space]
-    _report([c for c, _ in controllers], robots[0], backend, spaces, episodes, seed, json, None)
+    _report([c for c, _ in controllers], robots[0], backend, spaces, episodes, seed, json, None, task)
 
 
 def demo(out: Path, minutes: float = 8.0, json: Path | None = None) -> None:
@@ -112,6 +116,7 @@ def _report(
     seed: int | None,
     json: Path | None,
     disturbances: object,
+    task: str,
 ) -> None:
     """Measure, print the table, and write the JSON file."""
     from cdcsr.disturbances import Disturbances
@@ -128,7 +133,7 @@ def _report(
         print(f"{cell.controller} in {cell.backend}, {cell.space}: {cell.result.rate:.2f}", flush=True)
 
     seed = TEST_SEED if seed is None else seed
-    cells = measure(controllers, robot, backends, spaces, episodes, seed, disturbances, progress)
+    cells = measure(controllers, robot, backends, spaces, episodes, seed, disturbances, task, progress)
     print(f"\n{episodes} episodes in each cell, target seed {seed}\n")
     print(format_table(cells))
     if json is not None:
@@ -140,6 +145,13 @@ def _set_threads() -> None:
     import torch
 
     torch.set_num_threads(1)
+
+
+def trained_task(controller: Controller) -> str:
+    """The task of a policy; that of a scripted controller is to reach."""
+    from training.policy import Policy
+
+    return controller.task if isinstance(controller, Policy) else "reach"
 
 
 def trained_space(controller: Controller) -> str:

@@ -157,7 +157,9 @@ class Train:
     robot: str = "paper"
     """A shipped robot's name, or a path ending in .toml."""
     space: str = "anchor"
-    """Where targets are drawn: anchor, floating or spatter."""
+    """Where targets are drawn: anchor, floating, spatter, workspace, or a map made by `cdcsr workspace`."""
+    task: str = "reach"
+    """What is to be done: reach, precise, quiet, capture, capture-drift, capture-tumble, follow-line, ..."""
     frame_skip: int = 1
     """Simulation steps each action is held for."""
     randomize: float = 0.0

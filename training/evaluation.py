@@ -9,9 +9,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cdcsr.disturbances import Disturbances
-from cdcsr.envs import EPISODE_STEPS, ReachVectorEnv
+from cdcsr.envs import ReachVectorEnv
 from cdcsr.errors import CdcsrError
 from cdcsr.robot import Robot
+from cdcsr.tasks import make_task
 from controllers.controller import Controller
 from controllers.demonstrations import rollout
 from training.plants import SecondPlant
@@ -69,6 +70,7 @@ def evaluate(
     frame_skip: int = 1,
     disturbances: Disturbances | None = None,
     plant: SecondPlant | None = None,
+    task: str = "reach",
 ) -> Result:
     """Run a controller from the start on targets drawn from a space.
 
@@ -82,6 +84,7 @@ def evaluate(
         centers: the demonstrations' targets, shape (n, 3), for Floating and Spatter.
         frame_skip: simulation steps each action is held for.
         disturbances: what goes wrong between policy and robot.
+        task: a name in :data:`cdcsr.tasks.TASKS`.
         plant: what is simulated, if it is not just `robot`. Given so, a policy acts on a robot it is not for.
 
     Raises:
@@ -89,6 +92,7 @@ def evaluate(
     """
     if episodes < 1:
         raise CdcsrError(f"episodes must be at least 1, not {episodes}.")
+    max_steps = make_task(task).max_steps
     plant, disturbances = plant or SecondPlant(robot), disturbances or Disturbances()
     if isinstance(controller, Policy) and plant.robot is not robot:
         controller = controller.on(plant.robot)
@@ -100,7 +104,8 @@ def evaluate(
         backend,
         space,
         frame_skip=frame_skip * plant.substeps,
-        max_steps=EPISODE_STEPS * plant.substeps,
+        max_steps=max_steps * plant.substeps,
+        task=task,
         centers=centers,
         disturbances=disturbances,
         autoreset_mode="Disabled",
@@ -114,9 +119,9 @@ def evaluate(
         outcome = rollout(controller, env, observation)
         return Result(
             outcome.success,
-            np.where(outcome.success, outcome.length * frame_skip, EPISODE_STEPS),
+            np.where(outcome.success, outcome.length * frame_skip, max_steps),
             outcome.distance,
-            env.targets.copy(),
+            outcome.targets,
         )
     finally:
         env.close()

@@ -9,7 +9,7 @@ import torch
 from numpy.typing import NDArray
 
 from cdcsr.robot import Robot
-from cdcsr.tasks import observation_size
+from cdcsr.tasks import Task, observation_size
 from training.collector import FinishedEpisode
 from training.config import Learner
 from training.hindsight import relabel
@@ -26,13 +26,13 @@ class Memory:
         learner: the learner's numbers.
         clone: from observations (n, 23 + C) to the behaviour clone's actions (n, C), once for each observation, so
             that no update computes them again; None where nobody asks for them.
-        threshold: of success, in [m].
+        task: says to hindsight what success is.
     """
 
     def __init__(
-        self, robot: Robot, learner: Learner, clone: Callable[[Array], NDArray[np.float32]] | None, threshold: float
+        self, robot: Robot, learner: Learner, clone: Callable[[Array], NDArray[np.float32]] | None, task: Task
     ) -> None:
-        self._learner, self._clone, self._threshold = learner, clone, threshold
+        self._learner, self._clone, self._task = learner, clone, task
 
         def replay() -> Replay:
             size = observation_size(robot)
@@ -59,7 +59,7 @@ class Memory:
         if self._learner.keep_successes and episode.success and "kept" in self.replays:
             self._store(self.replays["kept"], episode)
         for _ in range(self._learner.hindsight):
-            other = relabel(episode, self._threshold, rng)
+            other = relabel(episode, self._task, rng)
             if other is not None:
                 self._store(self.replays["replay"], other)
 
@@ -78,4 +78,4 @@ class Memory:
     def _store(self, replay: Replay, episode: FinishedEpisode) -> None:
         clone = None if self._clone is None else self._clone(episode.observations)
         rewards = episode.rewards - self._learner.step_cost
-        replay.add_episode(episode.observations, episode.actions, rewards, episode.success, clone)
+        replay.add_episode(episode.observations, episode.actions, rewards, episode.terminated, clone)

@@ -48,6 +48,11 @@ class Policy(Controller):
         """Simulation steps each action is held for."""
         return int(self.card["frame_skip"])
 
+    @property
+    def task(self) -> str:
+        """The task it was trained for."""
+        return str(self.card.get("task", "reach"))
+
     def act(self, env: ReachVectorEnv, observation: Array, active: NDArray[np.bool_]) -> Array:  # noqa: ARG002
         if env.robot is not self._checked:
             self._check(env.robot)

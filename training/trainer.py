@@ -19,8 +19,8 @@ from cdcsr.files import write_json
 from cdcsr.randomization import Randomization
 from cdcsr.robot import Robot, load_robot
 from cdcsr.simulation import load_backend
-from cdcsr.spaces import make_space
-from cdcsr.tasks import Reward
+from cdcsr.spaces import demonstration_space, make_space
+from cdcsr.tasks import Reward, make_task
 from controllers import demonstrations
 from controllers.demonstrations import Episode
 from controllers.jacobian import JacobianController
@@ -63,6 +63,7 @@ class Run:
         # What is misspelt or does not fit must not leave a folder behind.
         load_backend(config.backend)
         make_space(config.space, self.robot)
+        make_task(config.task)
         self.reward: Reward = "sparse" if config.algorithm == "bc" else ALGORITHMS[config.algorithm].reward
         self.episodes = self._demonstrations()
         claim_folder(self.folder, {**config.identity(), "fingerprint": self.robot.fingerprint}, config.force)
@@ -89,10 +90,10 @@ class Run:
     def _demonstrations(self) -> list[Episode]:
         config = self.config
         if config.demonstrations is not None:
-            return demonstrations.load(config.demonstrations, self.robot.fingerprint, config.frame_skip)
+            return demonstrations.load(config.demonstrations, self.robot.fingerprint, config.frame_skip, config.task)
         num = config.num_demonstrations
         print(f"Recording {num} demonstrations in {config.backend} (seed 0)", flush=True)
-        env = self._env(num, "anchor", autoreset_mode="Disabled")
+        env = self._env(num, demonstration_space(config.space), autoreset_mode="Disabled")
         episodes, _ = demonstrations.record(JacobianController(self.robot), env, num, seed=0)
         env.close()
         return episodes
@@ -102,7 +103,7 @@ class Run:
         centers = self.centers if hasattr(self, "centers") else None
         return ReachVectorEnv(
             num, self.robot, config.backend, space, self.reward, config.frame_skip,
-            centers=centers, **more,
+            centers=centers, task=config.task, **more,
         )  # fmt: skip
 
     def _clone(self) -> BehaviourCloning:
@@ -147,8 +148,9 @@ class Run:
             FinishedEpisode(
                 episode.observations,
                 actor.from_command(_tensor(episode.actions)).numpy(),
-                np.eye(episode.length)[-1],  # the reward of its last action is 1
+                episode.rewards,
                 True,
+                episode.terminated,
             )
             for episode in episodes
         )
@@ -170,13 +172,11 @@ class Run:
             plants = Randomization(self.robot, learner.num_envs, config.randomize, streams[3])
         env = self._env(learner.num_envs, config.space, randomization=plants)
         collector = Collector(env, exploration_noise(learner), learner.noise_hold, streams[0])
-        memory = Memory(self.robot, learner, None if clone is None else clone.actions, env.task.threshold)
+        memory = Memory(self.robot, learner, None if clone is None else clone.actions, env.task)
         state_path = self.folder / "state.safetensors"
         counters: dict[str, Any] = {"update": 0, "environment_steps": 0, "minutes": 0.0, "recent": []}
         collector.start(config.seed)
-        generators = {"noise": streams[0], "sample": streams[1], "hindsight": streams[2], "env": env.np_random}
-        if plants is not None:
-            generators["plants"] = plants.rng
+        generators = {"noise": streams[0], "sample": streams[1], "hindsight": streams[2]}
         everything = (algorithm, memory, collector, generators, self.torch_generator)
         if state_path.exists():
             counters = load_state(state_path, *everything)
@@ -255,11 +255,13 @@ class Run:
 
     def _policy(self, actor: Actor, algorithm: str, **more: Any) -> Policy:
         config = self.config
+        where = config.space if config.task == "reach" else f"{config.task}-{config.space}"
         card = {
-            "name": f"{algorithm}-{config.preset}-{config.space}-{config.backend}-s{config.seed}",
+            "name": f"{algorithm}-{config.preset}-{where}-{config.backend}-s{config.seed}",
             "algorithm": algorithm,
             "preset": config.preset,
             "backend": config.backend,
+            "task": config.task,
             "space": config.space,
             "seed": config.seed,
             "frame_skip": config.frame_skip,
@@ -273,7 +275,7 @@ class Run:
         config = self.config
         return evaluate(
             policy, self.robot, config.backend, config.space, config.evaluate_episodes,
-            seed=VALIDATION_SEED, centers=self.centers, frame_skip=config.frame_skip,
+            seed=VALIDATION_SEED, centers=self.centers, frame_skip=config.frame_skip, task=config.task,
         )  # fmt: skip
 
     def _environment_steps(self, updates: int) -> int:

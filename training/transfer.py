@@ -51,6 +51,7 @@ def transfer(
     episodes: int = 100,
     seed: int = TEST_SEED,
     disturbances: Disturbances | None = None,
+    task: str = "reach",
     progress: Callable[[Cell], None] | None = None,
 ) -> list[Cell]:
     """Measure controllers in engines and spaces.
@@ -62,6 +63,7 @@ def transfer(
         episodes: in each cell, as one batch.
         seed: of the targets, the same in every cell of a space.
         disturbances: what goes wrong between policy and robot.
+        task: what they are to do.
         progress: called with each cell as it is done.
 
     Returns:
@@ -82,6 +84,7 @@ def transfer(
                     centers=None if policy is None else policy.centers,
                     frame_skip=1 if policy is None else policy.frame_skip,
                     disturbances=disturbances,
+                    task=task,
                 )
                 trained = ("-", "-") if policy is None else (policy.card["backend"], policy.card["space"])
                 cells.append(Cell(controller.name, *trained, backend, space, result))

@@ -77,5 +77,7 @@ def test_centers_are_by_default_the_demonstrations_of_seed_0(name: str) -> None:
 
 
 def test_an_unknown_space_is_an_error() -> None:
-    with pytest.raises(CdcsrError, match=r"'spater'\. Did you mean 'spatter'\? Available: anchor, floating, spatter\."):
+    with pytest.raises(
+        CdcsrError, match=r"'spater'\. Did you mean 'spatter'\? Available: anchor, floating, spatter, workspace\."
+    ):
         make_space("spater", PAPER)

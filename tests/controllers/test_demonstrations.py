@@ -86,3 +86,27 @@ def test_what_is_no_dataset_is_refused(tmp_path: Path, folder: Path) -> None:
         load(folder, load_robot("three-cable").fingerprint)
     with pytest.raises(CdcsrError, match="frame_skip 1, not 2"):
         load(folder, fingerprint, frame_skip=2)
+    with pytest.raises(CdcsrError, match=r"of the task 'reach', not 'capture'; .*cdcsr demonstrate --task capture"):
+        load(folder, fingerprint, task="capture")
+
+
+def test_a_capture_is_demonstrated_and_read_back(tmp_path: Path) -> None:
+    """Its last 20 actions, of two steps each, left the tip on the target; the reward is for the last alone."""
+    demonstrate(out=tmp_path / "set", episodes=2, task="capture-drift", frame_skip=2)
+    episodes = load(tmp_path / "set", load_robot("paper").fingerprint, frame_skip=2, task="capture-drift")
+    for episode in episodes:
+        assert episode.terminated
+        assert episode.rewards.tolist() == [0.0] * (episode.length - 1) + [1.0]
+        assert (episode.observations[-20:, 9] <= 0.03).all()
+        moved = np.diff(episode.observations[:, 6:9], axis=0)
+        np.testing.assert_allclose(moved, np.broadcast_to(moved[0], moved.shape), atol=1e-12)
+        np.testing.assert_array_equal(episode.target, episode.observations[0, 6:9])
+
+
+def test_a_follower_is_demonstrated_to_the_end_of_time(tmp_path: Path) -> None:
+    demonstrate(out=tmp_path / "set", episodes=1, task="follow-line", frame_skip=10)
+    (episode,) = load(tmp_path / "set", load_robot("paper").fingerprint, frame_skip=10, task="follow-line")
+    assert not episode.terminated
+    assert episode.length == 100
+    np.testing.assert_array_equal(episode.rewards, episode.observations[1:, 9] <= 0.03)
+    assert episode.rewards[25:].mean() >= 0.9

@@ -8,23 +8,27 @@ import numpy as np
 import pytest
 
 from cdcsr.robot import load_robot
+from cdcsr.tasks import make_task
 from training.collector import FinishedEpisode
 from training.config import Learner
 from training.hindsight import relabel
 from training.memory import Memory
 
+_TASK = make_task("reach")
 _ROBOT = load_robot("planar-single")
 _SIZE = 23 + _ROBOT.num_cables
 
 
 def _episode(length: int, mark: float, success: bool = True) -> FinishedEpisode:
     observations = np.full((length + 1, _SIZE), mark)
-    return FinishedEpisode(observations, np.full((length, _ROBOT.num_cables), 0.5), np.eye(length)[-1], success)
+    return FinishedEpisode(
+        observations, np.full((length, _ROBOT.num_cables), 0.5), np.eye(length)[-1], success, success
+    )
 
 
 def _memory(**numbers: object) -> Memory:
     learner = dataclasses.replace(Learner(batch_size=40, capacity=1000), **numbers)  # type: ignore[arg-type]
-    return Memory(_ROBOT, learner, lambda observations: np.float32(observations[:, : _ROBOT.num_cables] + 1), 0.03)
+    return Memory(_ROBOT, learner, lambda observations: np.float32(observations[:, : _ROBOT.num_cables] + 1), _TASK)
 
 
 def test_kept_episodes_have_their_share_of_every_batch() -> None:
@@ -62,9 +66,9 @@ def test_hindsight_against_brute_force(seed: int) -> None:
     length, threshold = 80, 0.03
     observations = rng.normal(size=(length + 1, _SIZE))
     observations[:, 0:3] = np.cumsum(rng.normal((0.01, 0, 0), 0.01, size=(length + 1, 3)), axis=0)
-    episode = FinishedEpisode(observations, rng.uniform(-1, 1, (length, 4)), np.zeros(length), False)
+    episode = FinishedEpisode(observations, rng.uniform(-1, 1, (length, 4)), np.zeros(length), False, False)
     before = observations.copy()
-    other = relabel(episode, threshold, rng)
+    other = relabel(episode, _TASK, rng)
     if other is None:
         return
     target = other.observations[0, 6:9]
@@ -85,8 +89,8 @@ def test_hindsight_targets_lie_all_along_the_way() -> None:
     rng = np.random.default_rng(0)
     observations = np.zeros((201, _SIZE))
     observations[:, 0] = np.linspace(0, 2, 201)
-    episode = FinishedEpisode(observations, np.zeros((200, 4)), np.zeros(200), False)
-    found = [relabel(episode, 0.03, rng) for _ in range(400)]
+    episode = FinishedEpisode(observations, np.zeros((200, 4)), np.zeros(200), False, False)
+    found = [relabel(episode, _TASK, rng) for _ in range(400)]
     lengths = np.array([len(other.actions) for other in found if other is not None])
     # Uniform over the way, but for what begins within the threshold of the start.
     assert np.histogram(lengths, 4, (0, 200))[0].min() > 60

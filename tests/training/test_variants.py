@@ -135,8 +135,8 @@ def test_what_each_begins_with(tmp_path: Path, demonstrations: Path, algorithm: 
         hidden=(16, 16), batch_size=4, num_envs=2, updates=2, bc_updates=400, bc_rollouts=6,
     )  # fmt: skip
     config = Train(
-        tmp_path / "run", cast(AlgorithmName, algorithm), space="anchor", frame_skip=_SKIP, demonstrations=demonstrations,
-        evaluate_every=0, evaluate_episodes=1, stop_after=0.0, learner=small,
+        tmp_path / "run", cast(AlgorithmName, algorithm), space="anchor", frame_skip=_SKIP,
+        demonstrations=demonstrations, evaluate_every=0, evaluate_episodes=1, stop_after=0.0, learner=small,
     )  # fmt: skip
     train(config)
     with safe_open(tmp_path / "run" / "state.safetensors", framework="pt") as file:

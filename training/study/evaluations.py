@@ -55,7 +55,7 @@ class Subject:
         """What of an environment depends on who is measured."""
         policy = self.controller if isinstance(self.controller, Policy) else None
         known = {} if policy is None else {"centers": policy.centers, "frame_skip": policy.frame_skip}
-        return known if self.spec.task == "reach" else {**known, "task": self.spec.task}
+        return {**known, "task": self.spec.task}
 
 
 @dataclass(frozen=True)
@@ -112,12 +112,11 @@ def disturbances(subject: Subject, episodes: int) -> Iterator[Row]:
 
 def following(subject: Subject, episodes: int) -> Iterator[Row]:
     """Targets that move, in every engine (Fig. 6)."""
+    known = {name: value for name, value in subject.options.items() if name != "task"}
     for backend, motion in product(BACKENDS, MOTIONS):
-        for sample in follow(
-            subject.controller, subject.robot, backend, subject.spec.space, motion, episodes, **subject.options
-        ):
-            errors = (sample.tip_error, sample.base_position_error, sample.base_attitude_error)
-            yield backend, motion, sample.episode, sample.step, *(f"{error:.5f}" for error in errors)
+        for sample in follow(subject.controller, subject.robot, backend, subject.spec.space, motion, episodes, **known):
+            motion, episode, step, *errors = sample
+            yield backend, motion, episode, step, *(f"{error:.5f}" for error in errors)
 
 
 def plants(subject: Subject, episodes: int) -> Iterator[Row]:

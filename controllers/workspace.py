@@ -1,0 +1,107 @@
+"""Mapping a robot's workspace: what the demonstrator reaches, found by growing from where it surely does."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cdcsr.envs import TaskVectorEnv
+from cdcsr.errors import CdcsrError
+from cdcsr.robot import Robot
+from cdcsr.workspaces import Workspace, cells_between
+from controllers.demonstrations import rollout
+from controllers.jacobian import JacobianController
+
+Array = NDArray[np.float64]
+
+BATCH = 128
+"""Targets that are tried side by side."""
+_NEIGHBOURS = np.concatenate([np.eye(3, dtype=np.int64), -np.eye(3, dtype=np.int64)])
+
+
+def compute_workspace(
+    robot: Robot, backend: str, spacing: float, frame_skip: int, progress: Callable[[int, int], None] = lambda *_: None
+) -> Workspace:
+    """Try the points of a grid through the middle of the robot's Anchor Space, spreading from those reached.
+
+    Whatever a straight path of reached points does not connect to the Anchor Space stays unknown.
+
+    Args:
+        robot: the description.
+        backend: the engine.
+        spacing: of the grid, in [m].
+        frame_skip: simulation steps each of the demonstrator's commands is held for.
+        progress: called after each batch with the numbers of points tried and reached.
+
+    Raises:
+        CdcsrError: the demonstrator does not reach even the middle of the Anchor Space, or no whole cell.
+    """
+    middle = np.array(robot.workspace.center)
+    reached: list[tuple[int, int, int]] = []
+    waiting: list[tuple[int, int, int]] = [(0, 0, 0)]
+    known = {(0, 0, 0)}
+    controller = JacobianController(robot)
+    tried = 0
+    while waiting:
+        batch, waiting = waiting[:BATCH], waiting[BATCH:]
+        env = TaskVectorEnv(len(batch), robot, backend, frame_skip=frame_skip, autoreset_mode="Disabled")
+        try:
+            observation, _ = env.reset(options={"targets": middle + spacing * np.array(batch)})
+            success = rollout(controller, env, observation).success
+        finally:
+            env.close()
+        tried += len(batch)
+        for point in (p for p, yes in zip(batch, success, strict=True) if yes):
+            reached.append(point)
+            for x, y, z in (np.array(point) + _NEIGHBOURS).tolist():
+                if (x, y, z) not in known:
+                    known.add((x, y, z))
+                    waiting.append((x, y, z))
+        progress(tried, len(reached))
+    cells, wide = cells_between(np.array(reached, dtype=np.int64).reshape(-1, 3))
+    if len(cells) == 0:
+        raise CdcsrError(
+            f"The demonstrator reaches {len(reached)} of {tried} points {spacing:g} m apart around the middle of the "
+            f"Anchor Space of {robot.name!r}, and no whole cell between them; take a smaller --spacing or move the "
+            "robot's workspace."
+        )
+    edges = np.where(wide, spacing, 0.0)
+    return Workspace(robot.fingerprint, middle, edges, cells.astype(np.int16))
+
+
+def draw_workspace(workspace: Workspace, robot: Robot, path: Path) -> None:
+    """A picture of a map: its cells seen along each axis, darker where more lie behind each other."""
+    from matplotlib.figure import Figure
+    from matplotlib.patches import Rectangle
+
+    figure = Figure(figsize=(12, 4.2), layout="constrained")
+    axes = figure.subplots(1, 3)
+    lowest, size = workspace.cells.min(axis=0), np.ptp(workspace.cells, axis=0) + 1
+    for ax, (across, up, along) in zip(axes, ((0, 2, 1), (1, 2, 0), (0, 1, 2)), strict=True):
+        counts = np.zeros(size[[up, across]])
+        np.add.at(counts, tuple((workspace.cells - lowest)[:, [up, across]].T), 1)
+        low = workspace.origin + lowest * workspace.edges
+        high = low + size * workspace.edges
+        image = ax.imshow(
+            np.where(counts > 0, counts, np.nan), origin="lower", cmap="viridis_r", aspect="equal",
+            extent=(low[across], high[across], low[up], high[up]),
+        )  # fmt: skip
+        margin = 0.1
+        if up == 2:
+            ax.plot([0, 0], [robot.top, robot.top + robot.arm_length], color="black", lw=2)
+        ax.set_xlim(low[across] - margin, high[across] + margin)
+        ax.set_ylim(low[up] - margin, high[up] + margin)
+        center, edge = np.array(robot.workspace.center), np.array(robot.workspace.size)
+        corner = (center - edge / 2)[[across, up]]
+        ax.add_patch(Rectangle(tuple(corner), edge[across], edge[up], fill=False, color="tab:red"))
+        ax.set_xlabel(f"{'xyz'[across]} [m]")
+        ax.set_ylabel(f"{'xyz'[up]} [m]")
+        figure.colorbar(image, ax=ax, label=f"cells along {'xyz'[along]}", shrink=0.8)
+    figure.suptitle(
+        f"Workspace of {robot.name}: {len(workspace.cells)} cells reached; straight arm in black, Anchor Space in red"
+    )
+    path.parent.mkdir(parents=True, exist_ok=True)
+    figure.savefig(path, dpi=110)
