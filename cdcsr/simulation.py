@@ -6,6 +6,7 @@ base linear, base angular (both world frame), sliders, hinges root to tip (x bef
 
 from __future__ import annotations
 
+import os
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -289,6 +290,16 @@ def chosen_backends(name: str) -> list[str]:
 def make_simulation(robot: Robot, backend: str, num: int = 1) -> Simulation:
     """A simulation of `num` copies in the engine of that name."""
     return load_backend(backend)(robot, num)
+
+
+def processors() -> int:
+    """How many processors this process may use: as many as it is bound to, and at most OMP_NUM_THREADS if that is set.
+
+    Engines share their copies among so many threads or worker processes; the numbers do not depend on it.
+    """
+    bound = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+    asked = os.environ.get("OMP_NUM_THREADS", "")
+    return min(bound, int(asked)) if asked.isdecimal() and int(asked) else bound
 
 
 def rotation_matrix(quaternion: Array) -> Array:

@@ -62,8 +62,8 @@ class Reach:
         return success - distance
 
 
-BASE_POSITION = slice(10, 13)
-"""Where the base's position is in the observation."""
+TIP_POSITION, TARGET, DISTANCE, BASE_POSITION = slice(0, 3), slice(6, 9), slice(9, 10), slice(10, 13)
+"""Where these are in the observation."""
 
 
 def observation_size(robot: Robot) -> int:

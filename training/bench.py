@@ -87,6 +87,7 @@ def _ours() -> Callable[[int], None]:
         torch.full((256,), 0.99),
         torch.randn(256, size),
         torch.rand(256, cables) * 2 - 1,
+        torch.rand(256, cables) * 2 - 1,
     )
 
     def run(updates: int) -> None:

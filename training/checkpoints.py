@@ -15,7 +15,7 @@ from safetensors.torch import save_file
 from cdcsr.errors import CdcsrError
 from training.algorithms.td3 import TD3
 from training.collector import Collector
-from training.replay import Replay
+from training.memory import Memory
 
 _META = "run"
 
@@ -23,7 +23,7 @@ _META = "run"
 def save_state(
     path: Path,
     learner: TD3,
-    replay: Replay,
+    memory: Memory,
     collector: Collector,
     generators: dict[str, np.random.Generator],
     torch_generator: torch.Generator,
@@ -37,12 +37,12 @@ def save_state(
         for i, state in optimizer.state_dict()["state"].items():
             tensors |= {f"{name}.{i}.{key}": torch.as_tensor(value) for key, value in state.items()}
     # Rows of the ring that hold something; slices share memory, so nothing is copied here.
-    tensors |= {f"replay.{key}": torch.from_numpy(rows[: replay.size]) for key, rows in replay.rows.items()}
+    for name, replay in memory.replays.items():
+        tensors |= {f"{name}.{key}": torch.from_numpy(rows[: replay.size]) for key, rows in replay.rows.items()}
     tensors |= {f"env.{key}": torch.from_numpy(np.asarray(value)) for key, value in collector.state_arrays().items()}
     meta = {
         "counters": counters,
-        "position": replay.position,
-        "size": replay.size,
+        "replays": {name: [replay.position, replay.size] for name, replay in memory.replays.items()},
         "updates": learner.updates,
         "generators": {name: g.bit_generator.state for name, g in generators.items()},
     }
@@ -54,7 +54,7 @@ def save_state(
 def load_state(
     path: Path,
     learner: TD3,
-    replay: Replay,
+    memory: Memory,
     collector: Collector,
     generators: dict[str, np.random.Generator],
     torch_generator: torch.Generator,
@@ -76,9 +76,11 @@ def load_state(
                 index, field = key.split(".")
                 state.setdefault(int(index), {})[field] = value
             optimizer.load_state_dict({**optimizer.state_dict(), "state": state})
-        for key, rows in replay.rows.items():
-            rows[: meta["size"]] = tensors[f"replay.{key}"].numpy()
-        replay.position, replay.size, learner.updates = meta["position"], meta["size"], meta["updates"]
+        for name, replay in memory.replays.items():
+            replay.position, replay.size = meta["replays"][name]
+            for key, rows in replay.rows.items():
+                rows[: replay.size] = tensors[f"{name}.{key}"].numpy()
+        learner.updates = meta["updates"]
         arrays: dict[str, NDArray[Any]] = {key: value.numpy() for key, value in _below(tensors, "env.").items()}
         collector.load_state_arrays(arrays)
         for name, generator in generators.items():

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from cdcsr.envs import ReachVectorEnv
 from cdcsr.simulation import Snapshot
 from cdcsr.tasks import observation_size
+from training.config import Learner
 from training.networks import Actor
 
 Array = NDArray[np.float64]
@@ -31,6 +32,13 @@ class FinishedEpisode:
     success: bool
 
 
+def exploration_noise(learner: Learner) -> Array:
+    """Standard deviation of the noise in each environment, shape (num_envs,), on actions in [-1, 1]."""
+    if not learner.noise_ladder:
+        return np.full(learner.num_envs, learner.exploration_noise)
+    return np.linspace(0, 2 * learner.exploration_noise, learner.num_envs)
+
+
 class Collector:
     """Runs a batch of environments, one action each at a time.
 
@@ -39,13 +47,14 @@ class Collector:
 
     Args:
         env: with autoreset SAME_STEP.
-        noise: standard deviation, on actions in [-1, 1].
+        noise: standard deviation, on actions in [-1, 1]; a number, or one for each environment.
         hold: actions for which a draw is held.
         rng: draws the noise.
     """
 
-    def __init__(self, env: ReachVectorEnv, noise: float, hold: int, rng: np.random.Generator) -> None:
-        self.env, self._scale, self._hold, self._rng = env, noise, hold, rng
+    def __init__(self, env: ReachVectorEnv, noise: float | Array, hold: int, rng: np.random.Generator) -> None:
+        self.env, self._hold, self._rng = env, hold, rng
+        self._scale = np.broadcast_to(noise, env.num_envs)[:, None]
         num, limit, cables = env.num_envs, env.max_actions, env.robot.num_cables
         size = observation_size(env.robot)
         self._observations = np.zeros((num, limit + 1, size))
@@ -66,7 +75,7 @@ class Collector:
             encoded = actor.encoder(torch.as_tensor(self._observation, dtype=torch.float32))
             action = actor(encoded).numpy().astype(np.float64)
         fresh = (everyone + self._count) % self._hold == 0
-        self._noise[fresh] = self._rng.normal(scale=self._scale, size=(int(fresh.sum()), action.shape[1]))
+        self._noise[fresh] = self._scale[fresh] * self._rng.normal(size=(int(fresh.sum()), action.shape[1]))
         self._count += 1
         action = np.clip(action + self._noise, -1, 1)
         at = env.actions_taken.copy()

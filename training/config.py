@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Any, Literal
 
 from cdcsr.errors import CdcsrError
 
-AlgorithmName = Literal["bc", "td3", "batd3"]
+AlgorithmName = Literal[
+    "bc", "td3", "her", "td3wd", "rbl", "rlpd", "drldr", "batd3", "batd3-no-bc", "batd3-no-prefill",
+    "batd3-no-ensemble", "clasp",
+]  # fmt: skip
 PresetName = Literal["paper", "tuned"]
 
 
@@ -25,9 +28,14 @@ class Learner:
     """LayerNorm before each hidden activation of the critics."""
     learning_rate: float = 1e-4
     """Of actor and critics (Adam)."""
+    final_learning_rate: float = 1.0
+    """Part of it that is left at the end of the run, to which it falls linearly."""
     batch_size: int = 256
     discount: float = 0.99
     """gamma, per action."""
+    step_cost: float = 0.0
+    """Taken from the reward of each action. With gamma = 1 the value of a state from which T actions are needed is
+    1 - T step_cost: no less sparse, but as steep far from the target as near it."""
     return_steps: int = 1
     """n of the n-step return; it bootstraps through time limits."""
     soft_update: float = 0.01
@@ -42,19 +50,40 @@ class Learner:
     """c: that noise is clipped to [-c, c]."""
     softmax_temperature: float = 10.0
     """rho of eq. (6)."""
+    target_choice: Literal["softmax", "scaled", "hard"] = "softmax"
+    """Between the clone's action and the policy's in BATD3's target. softmax: eq. (6). scaled: eq. (6) with the two
+    values' difference in units of its own standard deviation over the batch. hard: the action of the higher value."""
     clip_targets: bool = False
     """Clip targets to [0, 1], where a sparse terminal reward's values lie."""
     saturation_penalty: float = 0.0
     """Weight in the actor's loss of (|z| - 3)^2 where its output tanh(z) is saturated, |z| > 3. Good commands here
     are nearly on and off; without it, a cable that is off early on may never get a gradient again."""
+    clone_start: bool = False
+    """The actor starts from behaviour cloning instead of from random weights."""
+    clone_anchor: float = 0.0
+    """w: weight in the actor's loss of its squared distance from the clone's action, falling linearly to zero."""
+    anchor_updates: int = 4_000
+    """Updates after which that weight is zero."""
+    scaled_values: bool = False
+    """Divide the values in the actor's loss by their mean magnitude in the batch (Fujimoto and Gu 2021, eq. 5)."""
+    hindsight: int = 0
+    """Copies of each collected episode that are stored with a target it did reach (Andrychowicz et al. 2017)."""
+    kept_share: float = 0.0
+    """Share of each batch that is drawn from kept episodes: those the replay buffer begins with."""
+    keep_successes: bool = False
+    """Successful episodes are kept too, as they are collected."""
     policy_delay: int = 2
     """Updates of the critics to one of the actor."""
     averaged_policy: bool = False
     """The policy that is measured and kept is the target actor, a running average of the actor, which wanders less."""
     num_envs: int = 1
-    """Environments stepped once for every update."""
+    """Environments that are stepped side by side."""
+    updates_per_step: int = 1
+    """Updates after each step of the environments."""
     exploration_noise: float = 0.1
     """Standard deviation of exploration noise on the action, which spans [-1, 1]."""
+    noise_ladder: bool = False
+    """Environments differ in that deviation: it goes evenly from zero to twice what it says."""
     noise_hold: int = 1
     """Actions for which one draw of exploration noise is held."""
     updates: int = 100_000
@@ -90,9 +119,31 @@ PRESETS: dict[PresetName, Learner] = {
 }
 
 
+OWN: dict[str, dict[PresetName, dict[str, Any]]] = {
+    "her": {"paper": {"hindsight": 4}, "tuned": {"hindsight": 4}},
+    # Ball et al. 2023: half of every batch from prior data, LayerNorm, many updates for each step.
+    "rlpd": {
+        "paper": {"kept_share": 0.5, "layer_norm": True, "updates_per_step": 20, "policy_delay": 20},
+        "tuned": {"kept_share": 0.5, "updates_per_step": 4},
+    },
+    # The twin critics of TD3; the tuned preset has no larger ensemble to begin with.
+    "batd3-no-ensemble": {"paper": {"critics": 2}, "tuned": {"critics": 2}},
+    "clasp": {
+        preset: {"clone_start": True, "clone_anchor": 2.0, "scaled_values": True, "hindsight": 1}
+        for preset in ("paper", "tuned")
+    },
+}
+"""What an algorithm's learner has of its own in each preset."""
+
+
+def learner_for(algorithm: str, preset: PresetName) -> Learner:
+    """The numbers of a preset, with what the algorithm has of its own."""
+    return replace(PRESETS[preset], **OWN.get(algorithm, {}).get(preset, {}))
+
+
 @dataclass(frozen=True)
 class Train:
-    """Train a policy: behaviour cloning, TD3, or BATD3."""
+    """Train a policy: BATD3, what it is compared with, or CLASP."""
 
     out: Path
     """Folder of the run. Give the folder of an interrupted run, with the same options, to resume it."""
@@ -106,12 +157,12 @@ class Train:
     """A shipped robot's name, or a path ending in .toml."""
     space: str = "anchor"
     """Where targets are drawn: anchor, floating or spatter."""
-    reward: Literal["sparse", "dense"] = "sparse"
-    """sparse: 1 on success (eq. 2). dense: minus the distance, plus 1 on success."""
     frame_skip: int = 1
     """Simulation steps each action is held for."""
     demonstrations: Path | None = None
-    """A dataset made by `cdcsr demonstrate`; by default ten are recorded in the engine, seed 0."""
+    """A dataset made by `cdcsr demonstrate`; by default they are recorded in the engine, seed 0."""
+    num_demonstrations: int = 10
+    """How many are recorded if no dataset is given."""
     seed: int = 0
     """Of everything random in the run but the demonstrations."""
     evaluate_every: int = 1_000
@@ -133,6 +184,7 @@ class Train:
                 f"target_critics must be between 1 and critics ({learner.critics}), not {learner.target_critics}."
             )
         counts = {
+            "num_demonstrations": self.num_demonstrations,
             "batch_size": learner.batch_size,
             "return_steps": learner.return_steps,
             "policy_delay": learner.policy_delay,
@@ -140,21 +192,25 @@ class Train:
             "noise_hold": learner.noise_hold,
             "updates": learner.updates,
             "bc_updates": learner.bc_updates,
+            "anchor_updates": learner.anchor_updates,
+            "updates_per_step": learner.updates_per_step,
         }
         for name, value in counts.items():
             if value < 1:
                 raise CdcsrError(f"{name} must be at least 1, not {value}.")
+        if not 0 <= learner.kept_share < 1:
+            raise CdcsrError(f"kept_share must lie in [0, 1), not {learner.kept_share}.")
         if not 0 < learner.discount <= 1:
             raise CdcsrError(f"discount must lie in (0, 1], not {learner.discount}.")
 
     @classmethod
     def defaults(cls, argv: Sequence[str]) -> Train:
-        """The values of options not given in `argv`: they depend on the preset that is."""
+        """The values of options not given in `argv`: they depend on the preset and the algorithm that are."""
         import tyro
 
-        preset = _option(argv, "--preset") or "tuned"
-        learner = PRESETS["paper" if preset == "paper" else "tuned"]
-        return cls(out=tyro.MISSING, preset="paper" if preset == "paper" else "tuned", learner=learner)
+        preset: PresetName = "paper" if _option(argv, "--preset") == "paper" else "tuned"
+        learner = learner_for(_option(argv, "--algorithm") or "batd3", preset)
+        return cls(out=tyro.MISSING, preset=preset, learner=learner)
 
     def run(self) -> None:
         """Carry it out."""

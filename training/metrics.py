@@ -3,8 +3,11 @@
 from __future__ import annotations
 
 import csv
+import time
 from pathlib import Path
 
+import torch
+from torch import Tensor
 from torch.utils.tensorboard import SummaryWriter
 
 COLUMNS: tuple[str, ...] = (
@@ -58,3 +61,22 @@ def read_metrics(path: Path) -> list[dict[str, float]]:
         return []
     with path.open(newline="", encoding="utf-8") as file:
         return [{key: float(value) for key, value in row.items() if value} for row in csv.DictReader(file)]
+
+
+class Meter:
+    """Means of the losses since they were last taken."""
+
+    def __init__(self) -> None:
+        self._values: dict[str, list[Tensor]] = {}
+        self._since = time.monotonic()
+
+    def add(self, metrics: dict[str, Tensor]) -> None:
+        for name, value in metrics.items():
+            self._values.setdefault(name, []).append(value)
+
+    def take(self) -> dict[str, float]:
+        means = {name: float(torch.stack(values).mean()) for name, values in self._values.items()}
+        now = time.monotonic()
+        means["updates_per_second"] = max(map(len, self._values.values()), default=0) / (now - self._since)
+        self._values, self._since = {}, now
+        return means

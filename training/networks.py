@@ -8,10 +8,9 @@ import torch
 from torch import Tensor, nn
 
 from cdcsr.robot import Robot
-from cdcsr.tasks import observation_size
+from cdcsr.tasks import TARGET, TIP_POSITION, observation_size
 from training.ensemble import Ensemble
 
-_TIP, _TARGET = slice(0, 3), slice(6, 9)
 _ERROR_SCALE = 0.1
 """Scale of the vector from tip to target, in [m]."""
 
@@ -47,7 +46,7 @@ class Encoder(nn.Module):
         encoded = (observation - self.offset) / self.scale
         if not self.with_error:
             return encoded
-        error = (observation[..., _TARGET] - observation[..., _TIP]) / _ERROR_SCALE
+        error = (observation[..., TARGET] - observation[..., TIP_POSITION]) / _ERROR_SCALE
         return torch.cat([encoded, error], dim=-1)
 
 

@@ -25,6 +25,8 @@ class Batch(NamedTuple):
     """(B,) weight of the value at the end: gamma^steps, or 0 after success."""
     next_observation: Tensor
     """(B, 23 + C)."""
+    bc_action: Tensor
+    """(B, C), the behaviour clone's action at the beginning, in [-1, 1]."""
     next_bc_action: Tensor
     """(B, C), the behaviour clone's action at the end, in [-1, 1]."""
 
@@ -64,7 +66,7 @@ class Replay:
         actions: Array,
         rewards: Array,
         terminated: bool,
-        bc_actions: Array | None = None,
+        bc_actions: NDArray[np.floating] | None = None,
     ) -> None:
         """Store an episode of T actions.
 
@@ -105,6 +107,7 @@ class Replay:
             reward=torch.from_numpy(rows["reward"][chosen]),
             discount=torch.from_numpy(rows["discount"][chosen]),
             next_observation=torch.from_numpy(rows["observation"][successor]),
+            bc_action=torch.from_numpy(rows["bc_action"][chosen]),
             next_bc_action=torch.from_numpy(rows["bc_action"][successor]),
         )
 

@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-import json
 import time
 from collections import deque
-from pathlib import Path
+from collections.abc import Iterator
+from contextlib import contextmanager
 from typing import Any
 
 import numpy as np
@@ -15,30 +15,28 @@ from torch import Tensor
 from tqdm import tqdm
 
 from cdcsr.envs import ReachVectorEnv
-from cdcsr.errors import CdcsrError
 from cdcsr.files import write_json
 from cdcsr.robot import Robot, load_robot
 from cdcsr.simulation import load_backend
 from cdcsr.spaces import make_space
-from cdcsr.tasks import observation_size
+from cdcsr.tasks import Reward
 from controllers import demonstrations
 from controllers.demonstrations import Episode
 from controllers.jacobian import JacobianController
 from training.algorithms import ALGORITHMS, BehaviourCloning
+from training.algorithms.bc import Progress, imitate
 from training.algorithms.td3 import TD3
 from training.checkpoints import load_state, save_state
-from training.collector import Collector
+from training.collector import Collector, FinishedEpisode, exploration_noise
 from training.config import Train
 from training.evaluation import VALIDATION_SEED, Result, evaluate
-from training.metrics import Metrics
+from training.memory import Memory
+from training.metrics import Meter, Metrics
 from training.networks import Actor
 from training.policy import Policy, load_policy
-from training.replay import Replay
+from training.run_folder import claim_folder
 
 Array = NDArray[np.float64]
-
-DEMONSTRATIONS = 10
-"""How many are recorded if none are given."""
 
 
 def train(config: Train) -> Policy:
@@ -64,8 +62,9 @@ class Run:
         # What is misspelt or does not fit must not leave a folder behind.
         load_backend(config.backend)
         make_space(config.space, self.robot)
+        self.reward: Reward = "sparse" if config.algorithm == "bc" else ALGORITHMS[config.algorithm].reward
         self.episodes = self._demonstrations()
-        self._claim_folder()
+        claim_folder(self.folder, {**config.identity(), "fingerprint": self.robot.fingerprint}, config.force)
         self.centers = np.array([episode.target for episode in self.episodes])
         self.started = time.monotonic()
         self.minutes_before = 0.0
@@ -86,34 +85,14 @@ class Run:
 
     # -- before learning ------------------------------------------------------------------------------------
 
-    def _claim_folder(self) -> None:
-        """Make the folder, or make sure that the run in it is this one."""
-        path, identity = self.folder / "config.json", {**self.config.identity(), "fingerprint": self.robot.fingerprint}
-        if self.folder.exists() and not self.config.force:
-            if not path.is_file():
-                if any(self.folder.iterdir()):
-                    raise CdcsrError(f"{self.folder} exists and is not a training run; give another folder.")
-            else:
-                _refuse_other_run(path, identity)
-        if self.config.force:
-            for name in ("summary.json", "state.safetensors", "metrics.csv"):
-                (self.folder / name).unlink(missing_ok=True)
-            for old in (self.folder / "tensorboard").glob("events.*"):
-                old.unlink()
-            (self.folder / "clone" / "policy.json").unlink(missing_ok=True)
-        try:
-            self.folder.mkdir(parents=True, exist_ok=True)
-        except OSError as error:
-            raise CdcsrError(f"Cannot make the folder {self.folder}: {error.strerror}.") from None
-        write_json(path, identity)
-
     def _demonstrations(self) -> list[Episode]:
         config = self.config
         if config.demonstrations is not None:
             return demonstrations.load(config.demonstrations, self.robot.fingerprint, config.frame_skip)
-        print(f"Recording {DEMONSTRATIONS} demonstrations in {config.backend} (seed 0)", flush=True)
-        env = self._env(DEMONSTRATIONS, "anchor", autoreset="Disabled")
-        episodes, _ = demonstrations.record(JacobianController(self.robot), env, DEMONSTRATIONS, seed=0)
+        num = config.num_demonstrations
+        print(f"Recording {num} demonstrations in {config.backend} (seed 0)", flush=True)
+        env = self._env(num, "anchor", autoreset="Disabled")
+        episodes, _ = demonstrations.record(JacobianController(self.robot), env, num, seed=0)
         env.close()
         return episodes
 
@@ -121,7 +100,7 @@ class Run:
         config = self.config
         centers = self.centers if hasattr(self, "centers") else None
         return ReachVectorEnv(
-            num, self.robot, config.backend, space, config.reward, config.frame_skip,
+            num, self.robot, config.backend, space, self.reward, config.frame_skip,
             centers=centers, autoreset_mode=autoreset,
         )  # fmt: skip
 
@@ -132,38 +111,50 @@ class Run:
         if (self.folder / "clone" / "policy.json").is_file():
             clone.actor = load_policy(self.folder / "clone").actor
             return clone
-        observations = np.concatenate([e.observations[:-1] for e in self.episodes])
-        commands = np.concatenate([e.actions for e in self.episodes])
-        with tqdm(total=self.config.learner.bc_updates, desc="clone", unit="update") as bar:
+        with self._bar("clone") as progress:
+            clone.fit(*self._pairs(), progress)
+        self._policy(clone.actor, "bc").save(self.folder / "clone")
+        return clone
+
+    def _pairs(self) -> tuple[Tensor, Tensor]:
+        """What the demonstrator saw and what it did."""
+        observations = np.concatenate([episode.observations[:-1] for episode in self.episodes])
+        return _tensor(observations), _tensor(np.concatenate([episode.actions for episode in self.episodes]))
+
+    @contextmanager
+    def _bar(self, what: str) -> Iterator[Progress]:
+        """Shows how far imitation has come."""
+        with tqdm(total=self.config.learner.bc_updates, desc=what, unit="update") as bar:
 
             def progress(update: int, loss: float) -> None:
                 bar.update(update - bar.n)
                 bar.set_postfix(loss=f"{loss:.2g}")
 
-            clone.fit(_tensor(observations), _tensor(commands), progress)
-        self._policy(clone.actor, "bc").save(self.folder / "clone")
-        return clone
+            yield progress
 
-    def _fill(self, replay: Replay, algorithm: TD3, clone: BehaviourCloning | None) -> None:
-        """Put demonstrations and the clone's successful episodes into the replay buffer."""
+    def _begin(self, memory: Memory, algorithm: TD3, clone: BehaviourCloning | None) -> None:
+        """Let the learner begin with what the algorithm is given: demonstrations, the clone's successes, its skill."""
         episodes = list(self.episodes) if algorithm.uses_demonstrations else []
         rollouts = self.config.learner.bc_rollouts
-        if clone is not None and rollouts > 0:
+        if clone is not None and algorithm.uses_rollouts and rollouts > 0:
             env = self._env(rollouts, self.config.space, autoreset="Disabled")
             observation, _ = env.reset(seed=self.config.seed)
             episodes += demonstrations.rollout(self._policy(clone.actor, "bc"), env, observation).successes()
             env.close()
-        for episode in episodes:
-            actions = algorithm.actor.from_command(_tensor(episode.actions)).numpy()
-            replay.add_episode(
-                episode.observations, actions, self._rewards(episode), True, _actions(clone, episode.observations)
+        actor = algorithm.actor
+        memory.begin(
+            FinishedEpisode(
+                episode.observations,
+                actor.from_command(_tensor(episode.actions)).numpy(),
+                np.eye(episode.length)[-1],  # the reward of its last action is 1
+                True,
             )
-
-    def _rewards(self, episode: Episode) -> Array:
-        """A successful episode's rewards under this run's reward."""
-        success = np.arange(1, episode.length + 1) == episode.length
-        distance = episode.observations[1:, 9]
-        return success.astype(np.float64) if self.config.reward == "sparse" else success - distance
+            for episode in episodes
+        )
+        if self.config.learner.clone_start:
+            with self._bar("actor") as progress:
+                imitate(actor, self.config.learner, *self._pairs(), self.torch_generator, progress)
+            algorithm.target_actor.load_state_dict(actor.state_dict())
 
     # -- learning -------------------------------------------------------------------------------------------
 
@@ -173,35 +164,30 @@ class Run:
         self.torch_generator.manual_seed(config.seed)
         algorithm = ALGORITHMS[config.algorithm](self.robot, learner, self.torch_generator)
         env = self._env(learner.num_envs, config.space)
-        streams = np.random.default_rng(config.seed).spawn(2)
-        collector = Collector(env, learner.exploration_noise, learner.noise_hold, streams[0])
-        replay = Replay(
-            learner.capacity, observation_size(self.robot), self.robot.num_cables,
-            learner.discount, learner.return_steps,
-        )  # fmt: skip
+        streams = np.random.default_rng(config.seed).spawn(3)
+        collector = Collector(env, exploration_noise(learner), learner.noise_hold, streams[0])
+        memory = Memory(self.robot, learner, None if clone is None else clone.actions, env.task.threshold)
         state_path = self.folder / "state.safetensors"
         counters: dict[str, Any] = {"update": 0, "environment_steps": 0, "minutes": 0.0, "recent": []}
         collector.start(config.seed)
-        generators = {"noise": streams[0], "sample": streams[1], "env": env.np_random}
-        everything = (algorithm, replay, collector, generators, self.torch_generator)
+        generators = {"noise": streams[0], "sample": streams[1], "hindsight": streams[2], "env": env.np_random}
+        everything = (algorithm, memory, collector, generators, self.torch_generator)
         if state_path.exists():
             counters = load_state(state_path, *everything)
         else:
-            self._fill(replay, algorithm, clone)
+            self._begin(memory, algorithm, clone)
         self.minutes_before = counters["minutes"]
         recent = deque((bool(x) for x in counters["recent"]), maxlen=200)
         metrics = Metrics(self.folder, counters["update"])
-        first, meter, stopped = counters["update"] + 1, _Meter(), False
+        first, meter, stopped = counters["update"] + 1, Meter(), False
         with tqdm(total=learner.updates, initial=first - 1, desc=config.algorithm, unit="update") as bar:
             for update in range(first, learner.updates + 1):
-                for episode in collector.step(algorithm.actor):
-                    recent.append(episode.success)
-                    replay.add_episode(
-                        episode.observations, episode.actions, episode.rewards, episode.success,
-                        _actions(clone, episode.observations),
-                    )  # fmt: skip
-                if replay.size >= learner.batch_size:
-                    meter.add(algorithm.update(replay.sample(learner.batch_size, streams[1])))
+                if (update - 1) % learner.updates_per_step == 0:
+                    for episode in collector.step(algorithm.actor):
+                        recent.append(episode.success)
+                        memory.add(episode, streams[2])
+                if memory.ready:
+                    meter.add(algorithm.update(memory.sample(streams[1])))
                 bar.update(update - bar.n)
                 if update % 50 == 0:
                     bar.set_postfix(success=f"{np.mean(recent):.2f}" if recent else "-", refresh=False)
@@ -210,7 +196,7 @@ class Run:
                 if done or stopped or (config.evaluate_every and update % config.evaluate_every == 0):
                     counters = {
                         "update": update,
-                        "environment_steps": update * learner.num_envs,
+                        "environment_steps": self._environment_steps(update),
                         "minutes": self._minutes(),
                         "recent": [int(x) for x in recent],
                     }
@@ -224,10 +210,11 @@ class Run:
         if stopped:
             print(f"Stopped after update {counters['update']}; the same options go on from here.")
             return load_policy(self.folder)
+        policy = self._finish(algorithm.policy, learner.updates, self._environment_steps(learner.updates))
         state_path.unlink(missing_ok=True)
-        return self._finish(algorithm.policy, learner.updates, learner.updates * learner.num_envs)
+        return policy
 
-    def _measure(self, actor: Actor, counters: dict[str, Any], recent: deque[bool], meter: _Meter) -> dict[str, float]:
+    def _measure(self, actor: Actor, counters: dict[str, Any], recent: deque[bool], meter: Meter) -> dict[str, float]:
         """Save the policy as it is now; one row of metrics, with its success rate on validation targets."""
         policy = self._policy(actor, self.config.algorithm)
         policy.save(self.folder)
@@ -282,6 +269,11 @@ class Run:
             seed=VALIDATION_SEED, centers=self.centers, frame_skip=config.frame_skip,
         )  # fmt: skip
 
+    def _environment_steps(self, updates: int) -> int:
+        """How many the environments have made after so many updates."""
+        learner = self.config.learner
+        return -(-updates // learner.updates_per_step) * learner.num_envs
+
     def _out_of_time(self) -> bool:
         limit = self.config.stop_after
         return limit is not None and self._minutes() - self.minutes_before > limit
@@ -290,53 +282,5 @@ class Run:
         return self.minutes_before + (time.monotonic() - self.started) / 60
 
 
-class _Meter:
-    """Means of the losses since they were last taken."""
-
-    def __init__(self) -> None:
-        self._values: dict[str, list[Tensor]] = {}
-        self._since = time.monotonic()
-
-    def add(self, metrics: dict[str, Tensor]) -> None:
-        for name, value in metrics.items():
-            self._values.setdefault(name, []).append(value)
-
-    def take(self) -> dict[str, float]:
-        means = {name: float(torch.stack(values).mean()) for name, values in self._values.items()}
-        now = time.monotonic()
-        means["updates_per_second"] = max(map(len, self._values.values()), default=0) / (now - self._since)
-        self._values, self._since = {}, now
-        return means
-
-
 def _tensor(array: Array) -> Tensor:
     return torch.as_tensor(array, dtype=torch.float32)
-
-
-def _actions(clone: BehaviourCloning | None, observations: Array) -> Array | None:
-    """The clone's actions in [-1, 1], once for each observation, so that no update computes them again."""
-    if clone is None:
-        return None
-    with torch.no_grad():
-        return clone.actor(clone.actor.encoder(_tensor(observations))).numpy()
-
-
-def _refuse_other_run(path: Path, identity: dict[str, Any]) -> None:
-    try:
-        found = json.loads(path.read_text("utf-8"))
-    except (OSError, ValueError) as error:
-        raise CdcsrError(f"{path} cannot be read ({error}); give another folder, or --force.") from None
-    if found != identity:
-        flat_found, flat_asked = _flat(found), _flat(identity)
-        differing = sorted(k for k in flat_found.keys() | flat_asked.keys() if flat_found.get(k) != flat_asked.get(k))
-        raise CdcsrError(
-            f"{path.parent} holds a run with other options ({', '.join(differing)}); give the same ones to resume it, "
-            "another folder, or --force to start anew."
-        )
-
-
-def _flat(data: dict[str, Any], prefix: str = "") -> dict[str, Any]:
-    flat: dict[str, Any] = {}
-    for key, value in data.items():
-        flat |= _flat(value, f"{prefix}{key}.") if isinstance(value, dict) else {prefix + key: value}
-    return flat

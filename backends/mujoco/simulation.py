@@ -12,7 +12,7 @@ from backends.mujoco.plants import write_plant
 from cdcsr.errors import CdcsrError, Diverged
 from cdcsr.parameters import Plant
 from cdcsr.robot import Robot
-from cdcsr.simulation import CAMERAS, Array, Dynamics, Ids, Simulation, Snapshot, State, rotation_matrix
+from cdcsr.simulation import CAMERAS, Array, Dynamics, Ids, Simulation, Snapshot, State, processors, rotation_matrix
 
 # Positions, velocities and their sensors are made current after each step. In a persistent batch the next
 # step starts from them, so this costs nothing.
@@ -40,8 +40,9 @@ class MujocoSimulation(Simulation):
     def __init__(self, robot: Robot, num: int = 1, threads: int | None = None) -> None:
         super().__init__(robot, num)
         self.model: mujoco.MjModel = build_spec(robot).compile()
-        # Waking a thread costs about as much as stepping a few copies.
-        self.batch = batch.Batch(self.model, num, threads if threads is not None else (0 if num >= 8 else 1), True)
+        if threads is None:  # waking a thread costs about as much as stepping a few copies
+            threads = processors() if num >= 8 else 1
+        self.batch = batch.Batch(self.model, num, threads, True)
         self._sensors = self.batch.bind("sensordata")
         self._qpos, self._qvel = self.batch.bind("qpos"), self.batch.bind("qvel")
         self._time, self._ctrl = self.batch.bind("time"), self.batch.bind("ctrl")

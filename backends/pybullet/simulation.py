@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from functools import cached_property
 from typing import ClassVar
 
@@ -20,7 +19,7 @@ from cdcsr.cables import routing
 from cdcsr.errors import CdcsrError, Diverged
 from cdcsr.parameters import Plant
 from cdcsr.robot import Robot
-from cdcsr.simulation import Array, Capability, Dynamics, Ids, Simulation, Snapshot, State
+from cdcsr.simulation import Array, Capability, Dynamics, Ids, Simulation, Snapshot, State, processors
 
 COPIES_PER_WORKER = 8
 POOL_FROM = 16
@@ -46,7 +45,7 @@ class PybulletSimulation(Simulation):
     def __init__(self, robot: Robot, num: int = 1, workers: int | None = None) -> None:
         super().__init__(robot, num)
         if workers is None:
-            workers = min(_processors(), -(-num // COPIES_PER_WORKER)) if num >= POOL_FROM else 0
+            workers = min(processors(), -(-num // COPIES_PER_WORKER)) if num >= POOL_FROM else 0
             workers = workers if workers > 1 else 0
         if not 0 <= workers <= num:
             raise CdcsrError(f"{num} copies can be shared by 0 to {num} worker processes, not {workers}.")
@@ -126,10 +125,3 @@ class PybulletSimulation(Simulation):
     @cached_property
     def _renderer(self) -> Renderer:
         return Renderer(self.robot)
-
-
-def _processors() -> int:
-    """How many processors this process may use."""
-    if hasattr(os, "sched_getaffinity"):
-        return len(os.sched_getaffinity(0))
-    return os.cpu_count() or 1

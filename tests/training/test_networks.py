@@ -170,7 +170,7 @@ def batch(robot: Robot, count: int = 16) -> Batch:
     size, cables = observation_size(robot), robot.num_cables
     return Batch(
         torch.randn(count, size), torch.rand(count, cables) * 2 - 1, torch.rand(count), torch.full((count,), 0.9),
-        torch.randn(count, size), torch.rand(count, cables) * 2 - 1,
+        torch.randn(count, size), torch.rand(count, cables) * 2 - 1, torch.rand(count, cables) * 2 - 1,
     )  # fmt: skip
 
 

@@ -4,13 +4,17 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
+import numpy as np
 import torch
+from numpy.typing import NDArray
 from torch import Tensor
 from torch.nn import functional
 
 from cdcsr.robot import Robot
 from training.config import Learner
 from training.networks import Actor
+
+Progress = Callable[[int, float], None]
 
 
 class BehaviourCloning:
@@ -27,26 +31,41 @@ class BehaviourCloning:
         self.actor = Actor(robot, learner.features == "state+error", learner.hidden, "tanh")
         self._generator = generator
 
-    def fit(self, observations: Tensor, commands: Tensor, progress: Callable[[int, float], None]) -> None:
-        """Train on all pairs, then freeze.
+    def actions(self, observations: NDArray[np.float64]) -> NDArray[np.float32]:
+        """What the clone does, in [-1, 1]: (n, 23 + C) -> (n, C)."""
+        with torch.no_grad():
+            return self.actor(self.actor.encoder(torch.as_tensor(observations, dtype=torch.float32))).numpy()
 
-        Args:
-            observations: shape (N, 23 + C).
-            commands: the demonstrator's set-points, shape (N, C), in [m].
-            progress: called with the number of the update and its loss.
-        """
-        encoded = self.actor.encoder(observations)
-        wanted = self.actor.from_command(commands)
-        updates = self.learner.bc_updates
-        optimizer = torch.optim.Adam(self.actor.parameters(), lr=self.learner.bc_learning_rate, fused=True)
-        schedule = torch.optim.lr_scheduler.CosineAnnealingLR(optimizer, updates)
-        for update in range(1, updates + 1):
-            chosen = torch.randint(len(encoded), (self.learner.batch_size,), generator=self._generator)
-            loss = functional.mse_loss(self.actor(encoded[chosen]), wanted[chosen])
-            optimizer.zero_grad()
-            loss.backward()
-            optimizer.step()
-            schedule.step()
-            if update % 100 == 0:
-                progress(update, loss.item())
+    def fit(self, observations: Tensor, commands: Tensor, progress: Progress) -> None:
+        """Train on all pairs, then freeze; see :func:`imitate`."""
+        imitate(self.actor, self.learner, observations, commands, self._generator, progress)
         self.actor.requires_grad_(False)
+
+
+def imitate(
+    actor: Actor, learner: Learner, observations: Tensor, commands: Tensor, generator: torch.Generator,
+    progress: Progress,
+) -> None:  # fmt: skip
+    """Train an actor to do as it was shown.
+
+    Args:
+        actor: the network.
+        learner: the learner's numbers.
+        observations: shape (N, 23 + C).
+        commands: the demonstrator's set-points, shape (N, C), in [m].
+        generator: draws the batches.
+        progress: called with the number of the update and its loss.
+    """
+    encoded, wanted = actor.encoder(observations), actor.from_command(commands)
+    updates = learner.bc_updates
+    optimizer = torch.optim.Adam(actor.parameters(), lr=learner.bc_learning_rate, fused=True)
+    schedule = torch.optim.lr_scheduler.CosineAnnealingLR(optimizer, updates)
+    for update in range(1, updates + 1):
+        chosen = torch.randint(len(encoded), (learner.batch_size,), generator=generator)
+        loss = functional.mse_loss(actor(encoded[chosen]), wanted[chosen])
+        optimizer.zero_grad()
+        loss.backward()
+        optimizer.step()
+        schedule.step()
+        if update % 100 == 0:
+            progress(update, loss.item())

@@ -14,6 +14,7 @@ from torch import Tensor
 from torch.nn import functional
 
 from cdcsr.robot import Robot
+from cdcsr.tasks import Reward
 from training.config import Learner
 from training.networks import Actor, Critics
 from training.replay import Batch
@@ -34,7 +35,11 @@ class TD3:
     uses_demonstrations: ClassVar[bool] = False
     """Demonstrations are put into the replay buffer."""
     uses_clone: ClassVar[bool] = False
-    """A behaviour clone is trained first; its successes go into the replay buffer and its actions with every row."""
+    """A behaviour clone is trained first, and its actions go into the replay buffer with every row."""
+    uses_rollouts: ClassVar[bool] = False
+    """The clone's successful episodes are put into the replay buffer."""
+    reward: ClassVar[Reward] = "sparse"
+    """What is learned from."""
 
     def __init__(self, robot: Robot, learner: Learner, generator: torch.Generator) -> None:
         self.learner = learner
@@ -62,11 +67,12 @@ class TD3:
             Scalars worth logging.
         """
         self.updates += 1
+        self._set_learning_rate()
         encoded = self.actor.encoder(batch.observation)
         with torch.no_grad():
             value = self.next_value(self.actor.encoder(batch.next_observation), batch)
             target = batch.reward + batch.discount * value
-            if self.learner.clip_targets:
+            if self.learner.clip_targets and self.reward == "sparse":
                 target = target.clamp(0, 1)
         # Errors are summed over critics, so that the step of each does not depend on how many there are.
         values = self.critics.regress(encoded, batch.action, target)
@@ -74,8 +80,15 @@ class TD3:
         _follow(self.target_critics.parameters(), self._critic_parameters, self.learner.soft_update)
         metrics = {"critic_loss": (values - target).square().mean(), "value": values.mean()}
         if self.updates % self.learner.policy_delay == 0:
-            metrics["actor_loss"] = self._update_actor(encoded)
+            metrics["actor_loss"] = self._update_actor(encoded, batch)
         return metrics
+
+    def _set_learning_rate(self) -> None:
+        learner = self.learner
+        gone = min(1.0, self.updates / learner.updates) * (1 - learner.final_learning_rate)
+        for optimizer in (self.actor_optimizer, self.critic_optimizer):
+            for group in optimizer.param_groups:
+                group["lr"] = learner.learning_rate * (1 - gone)
 
     def next_value(self, encoded: Tensor, batch: Batch) -> Tensor:  # noqa: ARG002 (for variants)
         """Value to bootstrap from at the end of each transition, shape (B,): TD3's smoothed target policy."""
@@ -98,25 +111,33 @@ class TD3:
         num, drawn = self.learner.critics, self.learner.target_critics
         return None if drawn == num else torch.randperm(num, generator=self._generator)[:drawn].tolist()
 
-    def _update_actor(self, encoded: Tensor) -> Tensor:
-        loss = self.actor_loss(encoded)
+    def _update_actor(self, encoded: Tensor, batch: Batch) -> Tensor:
+        loss = self.actor_loss(encoded, batch)
         self.actor_optimizer.zero_grad()
         loss.backward()
         self.actor_optimizer.step()
         _follow(self.target_actor.parameters(), self._actor_parameters, self.learner.soft_update)
         return loss.detach()
 
-    def actor_loss(self, encoded: Tensor) -> Tensor:
-        """Minus the critics' mean at the actor's own action, and the price of saturation.
-
-        The mean is over Z critics drawn at random: its gradient is an unbiased estimate of that of the mean over
-        all E, which REDQ takes, for Z / E of the work.
-        """
+    def actor_loss(self, encoded: Tensor, batch: Batch) -> Tensor:
+        """What the actor descends: `policy_loss`, and the price of saturation."""
         logits = self.actor.net(encoded)
-        loss = -self.critics(encoded, torch.tanh(logits), self._draw_critics()).mean()
+        loss = self.policy_loss(encoded, torch.tanh(logits), batch)
         if self.learner.saturation_penalty > 0:
             loss = loss + self.learner.saturation_penalty * functional.relu(logits.abs() - 3).square().mean()
         return loss
+
+    def policy_loss(self, encoded: Tensor, action: Tensor, batch: Batch) -> Tensor:  # noqa: ARG002 (for variants)
+        """Minus the critics' mean at the actor's own action."""
+        return -self.drawn_values(encoded, action).mean()
+
+    def drawn_values(self, encoded: Tensor, action: Tensor) -> Tensor:
+        """Values by Z critics drawn at random, shape (Z, B).
+
+        The gradient of their mean is an unbiased estimate of that of the mean over all E, which REDQ takes, for
+        Z / E of the work.
+        """
+        return self.critics(encoded, action, self._draw_critics())
 
 
 def _follow(targets: object, sources: list[torch.nn.Parameter], rate: float) -> None:

@@ -1,0 +1,101 @@
+"""Memory: whose share of a batch is whose; hindsight against brute force."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+from cdcsr.robot import load_robot
+from training.collector import FinishedEpisode
+from training.config import Learner
+from training.hindsight import relabel
+from training.memory import Memory
+
+_ROBOT = load_robot("planar-single")
+_SIZE = 23 + _ROBOT.num_cables
+
+
+def _episode(length: int, mark: float, success: bool = True) -> FinishedEpisode:
+    observations = np.full((length + 1, _SIZE), mark)
+    return FinishedEpisode(observations, np.full((length, _ROBOT.num_cables), 0.5), np.eye(length)[-1], success)
+
+
+def _memory(**numbers: object) -> Memory:
+    learner = dataclasses.replace(Learner(batch_size=40, capacity=1000), **numbers)
+    return Memory(_ROBOT, learner, lambda observations: np.float32(observations[:, : _ROBOT.num_cables] + 1), 0.03)
+
+
+def test_kept_episodes_have_their_share_of_every_batch() -> None:
+    memory, rng = _memory(kept_share=0.25), np.random.default_rng(0)
+    memory.begin([_episode(60, mark=1)])
+    assert (memory.sample(rng).observation[:, 0] == 1).all()  # all there is
+    memory.add(_episode(200, mark=2), rng)
+    for _ in range(5):
+        batch = memory.sample(rng)
+        assert ((batch.observation[:, 0] == 1).sum(), len(batch.observation)) == (10, 40)
+        assert (batch.bc_action[:, 0] == batch.observation[:, 0] + 1).all()
+    assert (memory.replays["kept"].size, memory.replays["replay"].size) == (61, 201)
+
+
+def test_without_a_share_everything_is_one() -> None:
+    memory, rng = _memory(), np.random.default_rng(0)
+    memory.begin([_episode(60, mark=1)])
+    memory.add(_episode(60, mark=2), rng)
+    assert memory.replays["replay"].size == 122
+    assert 200 < sum((memory.sample(rng).observation[:, 0] == 1).sum() for _ in range(12)) < 280  # of 480
+
+
+def test_successes_are_kept_only_if_asked() -> None:
+    for keep, size in ((False, 0), (True, 11)):
+        memory, rng = _memory(kept_share=0.5, keep_successes=keep), np.random.default_rng(0)
+        memory.add(_episode(10, 1.0, success=True), rng)
+        memory.add(_episode(20, 1.0, success=False), rng)
+        assert memory.replays["kept"].size == size
+        assert memory.replays["replay"].size == 32
+
+
+@pytest.mark.parametrize("seed", range(20))
+def test_hindsight_against_brute_force(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    length, threshold = 80, 0.03
+    observations = rng.normal(size=(length + 1, _SIZE))
+    observations[:, 0:3] = np.cumsum(rng.normal((0.01, 0, 0), 0.01, size=(length + 1, 3)), axis=0)
+    episode = FinishedEpisode(observations, rng.uniform(-1, 1, (length, 4)), np.zeros(length), False)
+    before = observations.copy()
+    other = relabel(episode, threshold, rng)
+    if other is None:
+        return
+    target = other.observations[0, 6:9]
+    near = [float(np.linalg.norm(tip - target)) <= threshold for tip in observations[:, 0:3]]
+    assert near.index(True) == len(other.actions) >= 1
+    assert other.success
+    assert other.rewards.tolist() == [0.0] * (len(other.actions) - 1) + [1.0]
+    assert (other.observations[:, 6:9] == target).all()
+    np.testing.assert_allclose(
+        other.observations[:, 9], [np.linalg.norm(row[0:3] - target) for row in other.observations], rtol=1e-12
+    )
+    untouched = np.r_[0:6, 10:_SIZE]
+    np.testing.assert_array_equal(other.observations[:, untouched], before[: len(other.observations), untouched])
+    np.testing.assert_array_equal(observations, before)
+
+
+def test_hindsight_targets_lie_all_along_the_way() -> None:
+    rng = np.random.default_rng(0)
+    observations = np.zeros((201, _SIZE))
+    observations[:, 0] = np.linspace(0, 2, 201)
+    episode = FinishedEpisode(observations, np.zeros((200, 4)), np.zeros(200), False)
+    found = [relabel(episode, 0.03, rng) for _ in range(400)]
+    lengths = np.array([len(other.actions) for other in found if other is not None])
+    # Uniform over the way, but for what begins within the threshold of the start.
+    assert np.histogram(lengths, 4, (0, 200))[0].min() > 60
+
+
+def test_a_step_cost_makes_values_linear_in_time() -> None:
+    memory, rng = _memory(step_cost=0.01, discount=1.0, return_steps=3), np.random.default_rng(0)
+    memory.add(_episode(5, 1.0, success=True), rng)
+    rows = memory.replays["replay"].rows
+    # Five actions from the end three are paid for and the rest is bootstrapped; one from the end: 1 - 0.01.
+    np.testing.assert_allclose(rows["reward"][:5], [-0.03, -0.03, 0.97, 0.98, 0.99], atol=1e-7)
+    np.testing.assert_array_equal(rows["discount"][:5], [1, 1, 0, 0, 0])

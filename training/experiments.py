@@ -1,0 +1,108 @@
+"""`python -m training.experiments`: the paper's tables and figures, and what goes beyond, as one resumable study."""
+
+from __future__ import annotations
+
+import os
+import sys
+from collections.abc import Sequence
+from fnmatch import fnmatch
+from pathlib import Path
+from typing import Any, Literal
+
+from cdcsr.cli import run
+
+
+def experiments(
+    names: tuple[str, ...] = (),
+    /,
+    *,
+    budget: Literal["quick", "standard", "paper"] = "standard",
+    jobs: int | None = None,
+    resume: bool = False,
+    executor: Literal["local", "ray"] = "local",
+    address: str | None = None,
+    runs: Path = Path("runs/study"),
+    results: Path = Path("results/study"),
+    only: str = "*",
+    list: bool = False,
+    json: Path | None = None,
+) -> None:
+    """Carry out experiments: grids of training runs and their evaluations, each run in a process of its own.
+
+    What is finished is skipped, and a run that several experiments need is trained once. Stopped in any way, the
+    same command with --resume goes on; a run loses at most what came after its last point of the learning curve.
+
+    Args:
+        names: experiments, or "all"; --list shows them.
+        budget: quick is a smoke test, paper the lengths and seeds of the paper.
+        jobs: runs side by side on this machine; by default as many as it has processors.
+        resume: go on with runs that were begun and not finished.
+        executor: ray spreads the runs over a Ray cluster whose nodes share the folders.
+        address: of that cluster; by default a new one on this machine.
+        runs: folder of the training runs, with their logs and weights.
+        results: folder of the results.
+        only: do only runs whose name fits this pattern, as in "batd3-*_s0".
+        list: show what would be done, and do nothing.
+        json: also write what became of each run to this file.
+    """
+    from cdcsr.errors import CdcsrError, CheckFailed
+    from cdcsr.files import write_json
+    from training.study.grid import BUDGETS, EXPERIMENTS, collect, expected
+    from training.study.jobs import Job
+
+    if not names and not list:
+        raise CdcsrError(f"No experiment is given; name some of: {', '.join(EXPERIMENTS)}; or all.")
+    chosen = [*EXPERIMENTS] if not names or "all" in names else names
+    amounts = BUDGETS[budget]
+    wanted = [
+        Job(spec, evaluations, amounts)
+        for name, (spec, evaluations) in collect(chosen, amounts).items()
+        if fnmatch(name, only)
+    ]
+    if list:
+        _show(chosen, wanted, amounts, results, named=bool(names))
+        return
+    if not wanted:
+        raise CdcsrError(f"No run of {', '.join(chosen)} fits the pattern {only!r}; --list shows their names.")
+    if not resume and (begun := [job.name for job in wanted if job.is_begun(runs)]):
+        raise CdcsrError(
+            f"{len(begun)} runs in {runs} were begun and not finished, the first is {begun[0]}; "
+            "give --resume to go on with them, or delete their folders."
+        )
+    write_json(results / "expected.json", expected(amounts))
+    if executor == "ray":
+        from training.study.ray_executor import carry_out_on_ray
+
+        outcome = carry_out_on_ray(wanted, runs, results, address)
+    else:
+        from training.study.local import carry_out_here
+
+        outcome = carry_out_here(wanted, runs, results, jobs or os.cpu_count() or 1)
+    print(f"{len(outcome.finished)} runs finished, {len(outcome.skipped)} done before, {len(outcome.failed)} failed")
+    if json is not None:
+        write_json(json, {"experiments": chosen, "budget": budget, **vars(outcome)})
+    if outcome.failed:
+        name, why = next(iter(outcome.failed.items()))
+        raise CheckFailed(f"{len(outcome.failed)} of {len(wanted)} runs failed, first: {name}: {why}")
+
+
+def _show(chosen: Sequence[str], wanted: list[Any], budget: Any, results: Path, named: bool) -> None:
+    """Print the experiments, or the runs of those that were named."""
+    from training.study.grid import collect, summary
+
+    state = {job.name: job.is_done(results) for job in wanted}
+    for name in chosen:
+        cells = [run for run in collect([name], budget) if run in state]
+        print(f"{name:<13} {summary(name)} ({sum(state[run] for run in cells)} of {len(cells)} runs done)")
+    if named:
+        for run_name, done in state.items():
+            print(f"  {'done' if done else '-':<5} {run_name}")
+
+
+def main() -> int:
+    """Carry out experiments from the command line."""
+    return run(experiments, "training.experiments", sys.argv[1:])
+
+
+if __name__ == "__main__":
+    sys.exit(main())

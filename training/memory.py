@@ -1,0 +1,81 @@
+"""What a learner draws its batches from: collected episodes and, if wanted, others that are kept apart from them."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+
+from cdcsr.robot import Robot
+from cdcsr.tasks import observation_size
+from training.collector import FinishedEpisode
+from training.config import Learner
+from training.hindsight import relabel
+from training.replay import Batch, Replay
+
+Array = NDArray[np.float64]
+
+
+class Memory:
+    """Two replay buffers, of which the second is there only if a share of each batch is to come from it.
+
+    Args:
+        robot: the description.
+        learner: the learner's numbers.
+        clone: from observations (n, 23 + C) to the behaviour clone's actions (n, C), once for each observation, so
+            that no update computes them again; None where nobody asks for them.
+        threshold: of success, in [m].
+    """
+
+    def __init__(
+        self, robot: Robot, learner: Learner, clone: Callable[[Array], NDArray[np.float32]] | None, threshold: float
+    ) -> None:
+        self._learner, self._clone, self._threshold = learner, clone, threshold
+
+        def replay() -> Replay:
+            size = observation_size(robot)
+            return Replay(learner.capacity, size, robot.num_cables, learner.discount, learner.return_steps)
+
+        self.replays = {"replay": replay()}
+        """By name, for a checkpoint."""
+        if learner.kept_share > 0:
+            self.replays["kept"] = replay()
+
+    @property
+    def ready(self) -> bool:
+        """Whether there is enough for a batch."""
+        return max(replay.size for replay in self.replays.values()) >= self._learner.batch_size
+
+    def begin(self, episodes: Iterable[FinishedEpisode]) -> None:
+        """Store what is there before anything is collected; it is kept, if anything is."""
+        for episode in episodes:
+            self._store(self.replays.get("kept", self.replays["replay"]), episode)
+
+    def add(self, episode: FinishedEpisode, rng: np.random.Generator) -> None:
+        """Store a collected episode, and what hindsight makes of it."""
+        self._store(self.replays["replay"], episode)
+        if self._learner.keep_successes and episode.success and "kept" in self.replays:
+            self._store(self.replays["kept"], episode)
+        for _ in range(self._learner.hindsight):
+            other = relabel(episode, self._threshold, rng)
+            if other is not None:
+                self._store(self.replays["replay"], other)
+
+    def sample(self, rng: np.random.Generator) -> Batch:
+        """A batch, of which the kept episodes give their share, or all of it until enough is collected."""
+        size, collected = self._learner.batch_size, self.replays["replay"]
+        if "kept" not in self.replays:
+            return collected.sample(size, rng)
+        kept = self.replays["kept"]
+        if collected.size < size:
+            return kept.sample(size, rng)
+        share = round(self._learner.kept_share * size)
+        parts = collected.sample(size - share, rng), kept.sample(share, rng)
+        return Batch(*(torch.cat(both) for both in zip(*parts, strict=True)))
+
+    def _store(self, replay: Replay, episode: FinishedEpisode) -> None:
+        clone = None if self._clone is None else self._clone(episode.observations)
+        rewards = episode.rewards - self._learner.step_cost
+        replay.add_episode(episode.observations, episode.actions, rewards, episode.success, clone)

@@ -1,0 +1,213 @@
+"""The declared experiments: which runs, which of their evaluations, most telling ones first."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from cdcsr.errors import CdcsrError, unknown_choice
+from training.config import PresetName
+from training.study.spec import SCRIPTED, RunSpec
+
+
+@dataclass(frozen=True)
+class Budget:
+    """How much of everything, the same for every method."""
+
+    name: str
+    seeds: int
+    updates: int
+    """Of a run with the preset `tuned`."""
+    paper_updates: int
+    """Of a run with the preset `paper`."""
+    episodes: int
+    """Of each cell of an evaluation."""
+    evaluate_every: int
+    """Updates between points of a learning curve, and checkpoints."""
+    validation_episodes: int
+    """Of each of those points."""
+
+    def length(self, preset: PresetName) -> int:
+        """Updates of a run."""
+        return self.paper_updates if preset == "paper" else self.updates
+
+
+BUDGETS = {
+    budget.name: budget
+    for budget in (
+        Budget("quick", 1, 1_500, 1_500, 20, 500, 20),
+        Budget("standard", 3, 6_000, 20_000, 100, 500, 100),
+        Budget("paper", 5, 12_000, 100_000, 100, 1_000, 100),
+    )
+}
+
+SPACES = ("spatter", "anchor", "floating")
+BACKENDS = ("mujoco", "pybullet")
+METHODS = ("batd3", "bc", "clasp", "td3wd", "rlpd", "rbl", "drldr", "td3", "her")
+"""All of them, those that are compared most first."""
+OURS = "clasp"
+OURS_SWITCHES: tuple[tuple[tuple[str, Any], ...], ...] = ()
+"""What the ablation of our method changes in its learner, one change an entry."""
+ABLATIONS = ("batd3", "batd3-no-bc", "batd3-no-prefill", "batd3-no-ensemble")
+COUNTS = (3, 5, 20)
+"""Numbers of demonstrations, besides 10."""
+TASKS = (("reach", "workspace"), ("capture", "anchor"), ("precise", "anchor"), ("quiet", "anchor"))
+"""What goes beyond the paper: (task, space)."""
+TASK_METHODS = ("batd3", "bc", OURS, "td3wd", "rlpd")
+
+Cell = tuple[RunSpec, tuple[str, ...]]
+"""A run, and the evaluations of it that an experiment needs."""
+Experiment = Callable[[Budget], Iterator[Cell]]
+"""The first line of its docstring says what it is."""
+
+
+def table2(budget: Budget) -> Iterator[Cell]:
+    """Table II and Fig. 3: every method in the three spaces."""
+    yield _scripted(), ("nominal",)
+    for seed in range(budget.seeds):
+        for space in SPACES:
+            for algorithm in METHODS:
+                yield _spec(budget, algorithm, space, seed), ("nominal",)
+
+
+def fig4(budget: Budget) -> Iterator[Cell]:
+    """Fig. 4: BATD3 without each of its parts."""
+    for seed in range(budget.seeds):
+        for space in SPACES:
+            for algorithm in ABLATIONS:
+                yield _spec(budget, algorithm, space, seed), ("nominal",)
+
+
+def fig5(budget: Budget) -> Iterator[Cell]:
+    """Fig. 5: more and fewer demonstrations, in Anchor Space."""
+    for seed in range(budget.seeds):
+        for count in (10, *COUNTS):
+            for algorithm in ("batd3", "bc", OURS, "td3wd"):
+                yield _spec(budget, algorithm, "anchor", seed, demonstrations=count), ("nominal",)
+
+
+def table3(budget: Budget) -> Iterator[Cell]:
+    """Table III: trained in one space, tested in the others."""
+    for seed in range(budget.seeds):
+        for space in SPACES:
+            for algorithm in ("batd3", OURS):
+                yield _spec(budget, algorithm, space, seed), ("nominal",)
+
+
+def table4(budget: Budget) -> Iterator[Cell]:
+    """Table IV: noise on commands and on the base's position, and lost packets."""
+    yield _scripted(), ("nominal", "disturbances")
+    for seed in range(budget.seeds):
+        for space in SPACES:
+            for algorithm in ("batd3", OURS, "bc"):
+                yield _spec(budget, algorithm, space, seed), ("nominal", "disturbances")
+
+
+def fig6(budget: Budget) -> Iterator[Cell]:
+    """Fig. 6: following a target that moves, and what the base does meanwhile."""
+    yield _scripted(), ("follow",)
+    for seed in range(budget.seeds):
+        for space in ("spatter", "anchor"):
+            for algorithm in ("batd3", OURS, "bc"):
+                yield _spec(budget, algorithm, space, seed), ("follow",)
+
+
+def transfer(budget: Budget) -> Iterator[Cell]:
+    """Every method trained in each engine, tested in both."""
+    yield _scripted(), ("nominal",)
+    for seed in range(budget.seeds):
+        for space in SPACES:
+            for algorithm in METHODS:
+                for backend in BACKENDS:
+                    yield _spec(budget, algorithm, space, seed, backend=backend), ("nominal",)
+        for task, space in TASKS:
+            for algorithm in TASK_METHODS:
+                for backend in BACKENDS:
+                    yield _spec(budget, algorithm, space, seed, task=task, backend=backend), ("nominal",)
+
+
+def plants(budget: Budget) -> Iterator[Cell]:
+    """A plant that is not as described, with and without randomization in training."""
+    yield _scripted(), ("plants",)
+    for seed in range(budget.seeds):
+        for algorithm in ("batd3", OURS, "bc"):
+            for randomize in (0.0, 1.0):
+                yield _spec(budget, algorithm, "spatter", seed, randomize=randomize), ("nominal", "plants")
+
+
+def tasks(budget: Budget) -> Iterator[Cell]:
+    """Beyond the paper: the whole workspace, a moving target, a finer threshold, a still base."""
+    for task, space in TASKS:
+        yield _scripted(task=task, space=space), ("nominal",)
+    for seed in range(budget.seeds):
+        for algorithm in TASK_METHODS:
+            for task, space in TASKS:
+                yield _spec(budget, algorithm, space, seed, task=task), ("nominal",)
+
+
+def paper_preset(budget: Budget) -> Iterator[Cell]:
+    """BATD3 and BC with the paper's own numbers."""
+    for seed in range(budget.seeds):
+        for space in SPACES:
+            for algorithm in ("batd3", "bc"):
+                yield _spec(budget, algorithm, space, seed, preset="paper"), ("nominal",)
+
+
+def ours(budget: Budget) -> Iterator[Cell]:
+    """Our method without each of its parts."""
+    for seed in range(budget.seeds):
+        for switches in ((), *OURS_SWITCHES):
+            yield _spec(budget, OURS, "spatter", seed, switches=switches), ("nominal",)
+
+
+EXPERIMENTS: dict[str, Experiment] = {
+    "table2": table2,
+    "fig4": fig4,
+    "fig5": fig5,
+    "table3": table3,
+    "table4": table4,
+    "fig6": fig6,
+    "transfer": transfer,
+    "plants": plants,
+    "tasks": tasks,
+    "ours": ours,
+    "paper-preset": paper_preset,
+}
+
+
+def _spec(budget: Budget, algorithm: str, space: str, seed: int, **options: Any) -> RunSpec:
+    updates = budget.length(options.get("preset", "tuned"))
+    return RunSpec(algorithm, space=space, seed=seed, updates=updates, **options)
+
+
+def _scripted(**options: Any) -> RunSpec:
+    return RunSpec(SCRIPTED, updates=0, **options)
+
+
+def summary(experiment: str) -> str:
+    """What an experiment is, in one line."""
+    return (EXPERIMENTS[experiment].__doc__ or "").strip().partition("\n")[0]
+
+
+def collect(names: Sequence[str], budget: Budget) -> dict[str, Cell]:
+    """The runs of some experiments by name, each once, with all its evaluations.
+
+    Seeds are the outermost loop across experiments: cut short, the study has every cell from fewer seeds.
+
+    Raises:
+        CdcsrError: there is no such experiment.
+    """
+    cells: dict[str, Cell] = {}
+    for experiment in names:
+        if experiment not in EXPERIMENTS:
+            raise CdcsrError(unknown_choice("experiment", experiment, EXPERIMENTS))
+        for spec, evaluations in EXPERIMENTS[experiment](budget):
+            _, before = cells.get(spec.name, (spec, ()))
+            cells[spec.name] = spec, tuple(dict.fromkeys((*before, *evaluations)))
+    return dict(sorted(cells.items(), key=lambda item: item[1][0].seed))
+
+
+def expected(budget: Budget) -> dict[str, list[str]]:
+    """The names of all runs, for each experiment."""
+    return {name: list(collect([name], budget)) for name in EXPERIMENTS}
