@@ -182,9 +182,10 @@ def _forward(layers: list[Layer], room: _Room, inputs: Tensor, value: Tensor) ->
     for i, layer in enumerate(layers[:-1]):
         torch.mm(below, layer.product, out=room.before[i])
         if layer.gain is None:
-            rectify(room.before_floats[i], *layer.small)
+            rectify(room.before_floats[i], layer.small[0])
         else:
-            normalize(room.before_floats[i], *layer.small, room.inverse[i], room.after_floats[i])
+            bias, gain, shift = layer.small
+            normalize(room.before_floats[i], bias, gain, shift, room.inverse[i], room.after_floats[i])
         below = room.after[i]
     torch.addmm(layers[-1].weight[-1], below, layers[-1].product, out=value)
 
@@ -205,8 +206,8 @@ def _backward(layers: list[Layer], room: _Room, slope: Tensor, gradients: list[L
         if layers[i].gain is None:
             back_rectify(room.delta_floats[i], room.after_floats[i], small[0])
         else:
-            gain = layers[i].small[1]
             back_normalize(
-                room.delta_floats[i], room.before_floats[i], room.after_floats[i], room.inverse[i], gain, *small
-            )
+                room.delta_floats[i], room.before_floats[i], room.after_floats[i], room.inverse[i],
+                layers[i].small[1], small[0], small[1], small[2],
+            )  # fmt: skip
     return delta
