@@ -95,7 +95,8 @@ def memory_per_copy(robot: Robot, backend: str, copies: int) -> float:
     """
     alone = ", workers=0" if backend == "pybullet" else ""  # memory of workers would not be seen
     code = (
-        "import pathlib, resource, sys, numpy; from cdcsr.robot import parse_robot; from cdcsr.simulation import load_backend; "
+        "import pathlib, resource, sys, numpy; "
+        "from cdcsr.robot import parse_robot; from cdcsr.simulation import load_backend; "
         f"s = load_backend(sys.argv[1])(parse_robot(sys.stdin.read()), int(sys.argv[2]){alone}); "
         "s.step(numpy.zeros((s.num, s.robot.num_cables))); s.close(); "
         "own = pathlib.Path('/proc/self/status'); "
