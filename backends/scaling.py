@@ -5,7 +5,7 @@ from __future__ import annotations
 import subprocess
 import sys
 import time
-from typing import Any
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -26,17 +26,17 @@ def resized(robot: Robot, segments: int, links: int) -> Robot:
 
 
 def step_seconds(robot: Robot, backend: str, copies: int = 4, steps: int = 40, rounds: int = 5) -> float:
-    """Median time of one step of one copy, in [s], under gentle random commands."""
+    """Median processor time of one step of one copy, in [s], under gentle random commands."""
     simulation = make_simulation(robot, backend, copies)
     commands = -0.2 * np.random.default_rng(0).random((steps, copies, robot.num_cables))
     simulation.step(commands[0])
     times = []
     for _ in range(rounds):
         simulation.reset()
-        start = time.perf_counter()
+        start = time.process_time()
         for command in commands:
             simulation.step(command)
-        times.append(time.perf_counter() - start)
+        times.append(time.process_time() - start)
     simulation.close()
     return float(np.median(times)) / (steps * copies)
 
@@ -46,16 +46,26 @@ def exponent(sizes: tuple[int, ...], seconds: list[float]) -> float:
     return float(np.polyfit(np.log(sizes), np.log(seconds), 1)[0])
 
 
-def growth(robot: Robot, backend: str) -> dict[str, Any]:
-    """Cost of a step against the number of links (two segments) and of segments (twelve links), with exponents."""
+@dataclass(frozen=True)
+class Growth:
+    """What a step of one copy costs, in [us], by the number of links (in two segments) and of segments (12 links)."""
+
+    links: dict[int, float]
+    segments: dict[int, float]
+    links_exponent: float
+    segments_exponent: float
+
+
+def growth(robot: Robot, backend: str) -> Growth:
+    """Measure an engine."""
     by_links = [step_seconds(resized(robot, 2, links), backend) for links in LINKS]
     by_segments = [step_seconds(resized(robot, segments, 12), backend) for segments in SEGMENTS]
-    return {
-        "links": dict(zip(LINKS, (1e6 * s for s in by_links), strict=True)),
-        "links_exponent": exponent(LINKS, by_links),
-        "segments": dict(zip(SEGMENTS, (1e6 * s for s in by_segments), strict=True)),
-        "segments_exponent": exponent(SEGMENTS, by_segments),
-    }
+    return Growth(
+        dict(zip(LINKS, (1e6 * s for s in by_links), strict=True)),
+        dict(zip(SEGMENTS, (1e6 * s for s in by_segments), strict=True)),
+        exponent(LINKS, by_links),
+        exponent(SEGMENTS, by_segments),
+    )
 
 
 def worker_gain(robot: Robot, copies: int = 32, steps: int = 40, rounds: int = 5) -> float:
@@ -80,14 +90,18 @@ def worker_gain(robot: Robot, copies: int = 32, steps: int = 40, rounds: int = 5
 def memory_per_copy(robot: Robot, backend: str, copies: int) -> float:
     """Growth of a process's peak memory for each further copy, in [MB]; each count in a process of its own.
 
-    `copies` must be enough to rise above the peak of starting up.
+    `copies` must be enough to rise above the peak of starting up. Linux counts what a process had in memory before it
+    became another program into its `ru_maxrss`, so there the kernel's other record is read.
     """
     alone = ", workers=0" if backend == "pybullet" else ""  # memory of workers would not be seen
     code = (
-        "import resource, sys, numpy; from cdcsr.robot import parse_robot; from cdcsr.simulation import load_backend; "
+        "import pathlib, resource, sys, numpy; "
+        "from cdcsr.robot import parse_robot; from cdcsr.simulation import load_backend; "
         f"s = load_backend(sys.argv[1])(parse_robot(sys.stdin.read()), int(sys.argv[2]){alone}); "
         "s.step(numpy.zeros((s.num, s.robot.num_cables))); s.close(); "
-        "print(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss)"
+        "own = pathlib.Path('/proc/self/status'); "
+        "print(next(line.split()[1] for line in own.read_text().splitlines() if line.startswith('VmHWM')) "
+        "if own.exists() else resource.getrusage(resource.RUSAGE_SELF).ru_maxrss)"
     )
     peaks = []
     for count in (1, 1 + copies):

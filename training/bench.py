@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import time
 from collections.abc import Callable
 from itertools import pairwise
@@ -9,6 +10,7 @@ from itertools import pairwise
 import numpy as np
 import torch
 
+from backends.peers import MissingPeer, Peer
 from cdcsr.robot import Robot, load_robot
 from cdcsr.tasks import observation_size
 from training.algorithms import BATD3
@@ -17,41 +19,95 @@ from training.replay import Batch
 
 _PRODUCTS = 50
 """Matrix products timed for every update: about as many operations."""
+_OURS = """
+from training.bench import batd3_updates
+run = batd3_updates()
+"""
+_SBX = """
+import gymnasium, numpy, sbx
+class Blank(gymnasium.Env):
+    observation_space = gymnasium.spaces.Box(-1, 1, ({observation},), numpy.float32)
+    action_space = gymnasium.spaces.Box(-1, 1, ({action},), numpy.float32)
+    def reset(self, **_):
+        return numpy.zeros({observation}, numpy.float32), dict()
+model = sbx.TD3("MlpPolicy", Blank(), learning_rate=1e-4, buffer_size=2000, batch_size=256,
+                policy_kwargs=dict(net_arch=[256, 256, 256], n_critics=5))
+model._setup_learn(1_000_000)
+draw = numpy.random.default_rng(0)
+for _ in range(1000):
+    observation, following = draw.normal(size=(2, 1, {observation}))
+    action = draw.uniform(-1, 1, (1, {action}))
+    model.replay_buffer.add(observation, following, action, numpy.zeros(1), numpy.zeros(1), [dict()])
+def run(updates):
+    model.train(updates, 256)
+"""
 
 
-def update_speed(updates: int = 4, rounds: int = 40) -> dict[str, float]:
-    """Updates per second of BATD3 as in the paper (E = 5, Z = 2, 3 x 256, batch 256) and of stable-baselines3's TD3.
+def update_speed(python: str, updates: int = 4, rounds: int = 40) -> dict[str, float | None]:
+    """Updates per second of BATD3 as in the paper (E = 5, Z = 2, 3 x 256, batch 256), and of other TD3s.
 
-    Both on random data of the paper's sizes, with n_critics = 5 and the same networks there, in one thread of one
-    process, taking turns; medians over the rounds. Times are the thread's own, so that what other jobs do with
-    the machine counts as little as it can. Stable-baselines3 is a development dependency.
+    Stable-baselines3 (a development dependency) and SBX (its sibling in JAX, optional) with n_critics = 5 and the same
+    networks, all on random data of the paper's sizes, each in one thread, taking turns; medians over the rounds.
+    Times are the processor's, so that what other jobs do with the machine counts as little as it can.
 
     Args:
+        python: an interpreter that has sbx-rl, if any; it runs in a process of its own.
         updates: in each turn; even, so that each turn has as many updates of the actor.
         rounds: turns of each.
 
     Returns:
-        Updates per second; `ratio`, ours to theirs; `product_gflops`, the rate of a 256 x 256 matrix product, over
-        and over in the cache; and `share_of_product_rate`, at which part of that rate our whole update runs.
+        Updates per second; `ratio` and `sbx_ratio`, ours to theirs, None where there is no SBX; `product_gflops`, the
+        rate of a 256 x 256 matrix product, over and over in the cache; `share_of_product_rate`, at which part of that
+        rate our whole update runs.
     """
     torch.set_num_threads(1)
-    ours, theirs, product = _ours(), _stable_baselines(), _matrix_product()
-    times: dict[str, list[float]] = {"ours": [], "stable_baselines3": [], "product": []}
-    for turn in range(rounds + 1):
-        for name, function in (("ours", ours), ("stable_baselines3", theirs), ("product", product)):
-            start = time.thread_time()
-            function(updates)
-            if turn:  # the first turn only warms up
-                times[name].append((time.thread_time() - start) / updates)
+    robot = load_robot("paper")
+    turns: dict[str, Callable[[int], float]] = {
+        "ours": _own_time(batd3_updates()),
+        "stable_baselines3": _own_time(_stable_baselines()),
+        "product": _own_time(_matrix_product()),
+    }
+    with contextlib.ExitStack() as stack:
+        with contextlib.suppress(MissingPeer):
+            setup = _SBX.format(observation=observation_size(robot), action=robot.num_cables)
+            sbx = stack.enter_context(Peer(setup, python))
+            turns["sbx"] = lambda count: sbx.run(count)[1]
+        times: dict[str, list[float]] = {name: [] for name in turns}
+        for turn in range(rounds + 1):
+            for name, function in turns.items():
+                taken = function(updates)
+                if turn:  # the first turn only warms up
+                    times[name].append(taken / updates)
     median = {name: float(np.median(values)) for name, values in times.items()}
     product_rate = _PRODUCTS * 2 * 256**3 / median["product"]
+    sbx_time = median.get("sbx")
     return {
         "updates_per_second": 1 / median["ours"],
         "stable_baselines3_updates_per_second": 1 / median["stable_baselines3"],
         "ratio": median["stable_baselines3"] / median["ours"],
+        "sbx_updates_per_second": sbx_time and 1 / sbx_time,
+        "sbx_ratio": sbx_time and sbx_time / median["ours"],
         "product_gflops": product_rate / 1e9,
-        "share_of_product_rate": update_flops(Learner(), load_robot("paper")) / median["ours"] / product_rate,
+        "share_of_product_rate": update_flops(Learner(), robot) / median["ours"] / product_rate,
     }
+
+
+def side_by_side(updates: int = 20, rounds: int = 12) -> float:
+    """Speed of a run's updates beside those of another run, to its speed alone: two processes of one thread each.
+
+    Wall times, one alone and both together taking turns; medians over the rounds.
+    """
+    alone, together = [], []
+    with Peer(_OURS) as one, Peer(_OURS) as other:
+        for turn in range(rounds + 1):
+            single = one.run(updates)[0]
+            for run in (one, other):
+                run.start(updates)
+            both = [run.taken()[0] for run in (one, other)]
+            if turn:
+                alone.append(single)
+                together.append(np.mean(both))
+    return float(np.median(alone) / np.median(together))
 
 
 def update_flops(learner: Learner, robot: Robot) -> float:
@@ -75,7 +131,9 @@ def _weights(inputs: int, hidden: tuple[int, ...], outputs: int) -> int:
     return sum(n * m for n, m in pairwise(widths))
 
 
-def _ours() -> Callable[[int], None]:
+def batd3_updates() -> Callable[[int], None]:
+    """Does so many updates of BATD3, as in the paper, on random data."""
+    torch.set_num_threads(1)
     robot = load_robot("paper")
     generator = torch.Generator().manual_seed(0)
     algorithm = BATD3(robot, Learner(), generator)
@@ -93,6 +151,15 @@ def _ours() -> Callable[[int], None]:
     def run(updates: int) -> None:
         for _ in range(updates):
             algorithm.update(batch)
+
+    return run
+
+
+def _own_time(function: Callable[[int], None]) -> Callable[[int], float]:
+    def run(count: int) -> float:
+        start = time.thread_time()
+        function(count)
+        return time.thread_time() - start
 
     return run
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Literal
 
 if TYPE_CHECKING:
     from cdcsr.robot import Robot
@@ -173,45 +173,24 @@ def find_controller(name: str, robot: str) -> tuple[Controller, Robot]:
     return policy, policy.robot
 
 
-def bench(*, json: Path | None = None) -> None:
-    """Measure speed and memory, times as ratios within one process.
+def bench(
+    sections: tuple[Literal["environment", "model", "growth", "arms", "trainer"], ...] = (),
+    /,
+    *,
+    json: Path | None = None,
+    plot: Path | None = None,
+    peers: str | None = None,
+) -> None:
+    """Measure speed and memory, times as ratios within one process, the machine's own floor beside them.
 
     Needs the development dependencies (stable-baselines3), and a system with the `resource` module for memory.
 
     Args:
+        sections: which measurements; by default all.
         json: also write the numbers to this file.
+        plot: also draw how the cost of a step grows with the robot, into this folder.
+        peers: an interpreter that has gym-softrobot and sbx-rl; by default this one, if it has.
     """
-    from backends.mujoco.bench import vector_env_speed
-    from backends.pybullet.bench import step_cost
-    from backends.scaling import growth, memory_per_copy, worker_gain
-    from cdcsr.errors import CdcsrError
-    from cdcsr.files import write_json
-    from cdcsr.robot import load_robot
-    from training.bench import update_speed
+    from training.benchmarks import Benchmarks
 
-    results: dict[str, dict[str, Any]] = {}
-
-    def row(name: str, result: dict[str, Any], key: str, what: str) -> None:
-        results[name] = result
-        print(f"{result[key]:6.2f}  {what}", flush=True)
-
-    robot = load_robot("paper")
-    for copies in (32, 256):
-        what = f"MuJoCo vector environment, {copies} copies: steps/s over bare mujoco.batch"
-        row(f"vector_env_{copies}", vector_env_speed(robot, copies), "ratio", what)
-    row("pybullet_step", step_cost(robot), "ratio", "PyBullet: cost of a step over bare stepSimulation")
-    row("workers", {"ratio": worker_gain(robot)}, "ratio", "PyBullet, 32 copies: steps/s with two workers over one")
-    for backend, copies in (("mujoco", 2048), ("pybullet", 64)):
-        cost = growth(robot, backend)
-        row(f"growth_{backend}", cost, "links_exponent", f"{backend}: exponent of a step's cost in links, 6 to 48")
-        print(f"{cost['segments_exponent']:6.2f}  ... in segments, 1 to 4, twelve links")
-        memory = {"mb": memory_per_copy(robot, backend, copies)}
-        row(f"memory_{backend}", memory, "mb", f"{backend}: MB of peak memory for each further copy")
-    try:
-        update = update_speed()
-    except ModuleNotFoundError as error:
-        raise CdcsrError(f"{error.name} is needed to compare with; install the development dependencies.") from None
-    what = "BATD3 update (E = 5, 3 x 256, batch 256): updates/s over stable-baselines3's TD3"
-    row("update", update, "ratio", what)
-    if json is not None:
-        write_json(json, results)
+    Benchmarks(peers, plot).run(sections, json)

@@ -3,7 +3,7 @@
 The arithmetic is that of `nn.Linear` and autograd; what is saved is everything around the matrix products. One
 tensor holds all members, so an optimizer or a soft update is one call. A member goes forward and back while its
 activations are still in the cache, and they are written to the same room every time: none outlives a call, so
-there is nothing that a later call could spoil.
+there is nothing that a later call could spoil. Between two products, compiled kernels do the rest in one pass.
 """
 
 from __future__ import annotations
@@ -16,23 +16,28 @@ import torch
 from torch import Tensor, nn
 from torch.autograd.function import once_differentiable
 
-_LINE = 16  # numbers in a cache line; rows and members begin at one
-_EPS = 1e-5  # as in nn.LayerNorm
+from training.kernels import Floats, back_normalize, back_rectify, normalize, rectify
+
+_LINE = 16  # numbers in a cache line; members begin at one
+_BLOCK = 256  # rows that go through a member at a time where no row needs another
 
 
 class Layer(NamedTuple):
     """One layer of one member: views, of its parameters or of their gradients.
 
     Attributes:
-        weight: shape (n + 1, m); its last row is the bias, for an input that is always 1.
-        back: shape (m, n), the weight without the bias, transposed.
+        weight: shape (n + 1, m); its last row is the bias.
+        product, back: the weight without the bias, shape (n, m), and transposed, (m, n).
         gain, shift: of LayerNorm, shape (m,), or None.
+        small: bias, and gain and shift if there are, for the kernels.
     """
 
     weight: Tensor
+    product: Tensor
     back: Tensor
     gain: Tensor | None
     shift: Tensor | None
+    small: list[Floats]
 
 
 class Ensemble(nn.Module):
@@ -73,7 +78,8 @@ class Ensemble(nn.Module):
         for i, (n, m) in enumerate(pairwise(self.widths)):
             weight = next(pieces).view(n + 1, m)
             norm = (next(pieces), next(pieces)) if self.layer_norm and i < len(self.widths) - 2 else (None, None)
-            layers.append(Layer(weight, weight[:-1].T, *norm))
+            small = [part.detach().numpy() for part in (weight[-1], *norm) if part is not None]
+            layers.append(Layer(weight, weight[:-1], weight[:-1].T, *norm, small))
         return layers
 
     def forward(self, inputs: Tensor, members: Sequence[int] | None = None) -> Tensor:
@@ -87,23 +93,24 @@ class Ensemble(nn.Module):
         What was in `.grad` is overwritten. Inputs have shape (B, n), the target, the same for all members, (B,);
         returns the outputs, shape (E, B).
         """
+        inputs = inputs.contiguous()
         room = self._room_for(inputs)
         if not room.gradients:
             room.gradient = torch.zeros_like(self.rows)
             room.gradients = [self.layers(row) for row in room.gradient]
         values = inputs.new_empty(len(self.rows), len(inputs), 1)
         for value, layers, gradients in zip(values, room.layers, room.gradients, strict=True):
-            _forward(layers, room, value)
-            _backward(layers, room, (value - target[:, None]).mul_(2 / len(target)), gradients)
+            _forward(layers, room, inputs, value)
+            slope = (value - target[:, None]).mul_(2 / len(target))
+            delta = _backward(layers, room, slope, gradients)
+            torch.mm(inputs.T, delta, out=gradients[0].product)
         self.rows.grad = room.gradient
         return values.squeeze(-1)
 
     def _room_for(self, inputs: Tensor) -> _Room:
-        """With `inputs` in it."""
-        key = (self.rows.data_ptr(), inputs.shape, inputs.dtype)  # the room's views keep the address from being reused
+        key = (self.rows.data_ptr(), len(inputs), inputs.dtype)  # the room's views keep the address from being reused
         if self._room is None or self._room.key != key:
             self._room = _Room(self, inputs, key)
-        self._room.inputs[:, :-1] = inputs
         return self._room
 
     def __getstate__(self) -> dict[str, Any]:
@@ -115,15 +122,18 @@ class _Values(torch.autograd.Function):
 
     @staticmethod
     def forward(ctx: Any, inputs: Tensor, ensemble: Ensemble, members: Sequence[int]) -> Tensor:
-        room = ensemble._room_for(inputs)
+        inputs = inputs.contiguous()
         values = inputs.new_empty(len(members), len(inputs), 1)
         slopes = inputs.new_empty(len(members), *inputs.shape) if ctx.needs_input_grad[0] else None
-        ones = inputs.new_ones(len(inputs), 1)
-        for i, member in enumerate(members):
-            layers = room.layers[member]
-            _forward(layers, room, values[i])
-            if slopes is not None:
-                torch.mm(_backward(layers, room, ones), layers[0].back, out=slopes[i])
+        for begin in range(0, len(inputs), _BLOCK):
+            rows = slice(begin, begin + _BLOCK)
+            part = inputs[rows]
+            room, ones = ensemble._room_for(part), part.new_ones(len(part), 1)
+            for i, member in enumerate(members):
+                layers = room.layers[member]
+                _forward(layers, room, part, values[i, rows])
+                if slopes is not None:
+                    torch.mm(_backward(layers, room, ones), layers[0].back, out=slopes[i, rows])
         ctx.save_for_backward(slopes)
         return values.squeeze(-1)
 
@@ -138,63 +148,66 @@ class _Room:
     """Where members, in turn, write their activations and gradients; with the views of them made once.
 
     Attributes:
-        key: where the parameters are, and the shape and type of the inputs, that it is for.
+        key: where the parameters are, and the number of rows and type of the inputs, that it is for.
         layers: the parameters of each member.
         gradient, gradients: the parameters' gradient, and its layers by member; made when first needed.
-        inputs: shape (B, n + 1), the last column 1, as is that of
-        hidden: the activations of each hidden layer, shape (B, m + 1).
-        after: `hidden` without the ones, shape (B, m).
-        before: with LayerNorm, what goes into it, shape (B, m); else the same as `after`.
-        moments: with LayerNorm, its means and inverse deviations.
-        delta: gradients with respect to `before`, shape (B, m).
-        below: what goes into each layer, transposed.
+        before: what each hidden layer's product is written to, shape (B, m); then, with LayerNorm, what it has
+            before gain and shift.
+        after: the activations; without LayerNorm the same as `before`.
+        delta: gradients with respect to either, shape (B, m).
+        inverse: with LayerNorm, the inverse standard deviations.
+        unused: for gradients that nobody wants.
     """
 
-    def __init__(self, ensemble: Ensemble, inputs: Tensor, key: tuple[int, torch.Size, torch.dtype]) -> None:
+    def __init__(self, ensemble: Ensemble, inputs: Tensor, key: tuple[int, int, torch.dtype]) -> None:
         self.key, rows, hidden = key, len(inputs), ensemble.widths[1:-1]
         self.layers = [ensemble.layers(row) for row in ensemble.rows.detach()]
         self.gradient: Tensor | None = None
         self.gradients: list[list[Layer]] = []
-        self.inputs = inputs.new_ones(rows, inputs.shape[1] + 1)
-        self.hidden = [inputs.new_ones(rows, m + _LINE)[:, : m + 1] for m in hidden]
-        self.after = [h[:, :-1] for h in self.hidden]
-        self.before = [inputs.new_empty(rows, m) for m in hidden] if ensemble.layer_norm else self.after
-        self.moments: list[tuple[Tensor, Tensor]] = [(inputs, inputs)] * len(hidden)
+        self.before = [inputs.new_empty(rows, m) for m in hidden]
+        self.after = [inputs.new_empty(rows, m) for m in hidden] if ensemble.layer_norm else self.before
         pair = [inputs.new_empty(rows * max(hidden)) for _ in range(2)]  # going back, only the last is needed
         self.delta = [pair[i % 2][: rows * m].view(rows, m) for i, m in enumerate(hidden)]
-        self.below = [self.inputs.T, *[h.T for h in self.hidden]]
+        self.inverse = [inputs.new_empty(rows).numpy() for _ in hidden]
+        self.unused = [[inputs.new_empty(m).numpy() for _ in range(3)] for m in hidden]
+        # The same memory, as the kernels take it.
+        self.before_floats, self.after_floats, self.delta_floats = (
+            [tensor.numpy() for tensor in tensors] for tensors in (self.before, self.after, self.delta)
+        )
 
 
-def _forward(layers: list[Layer], room: _Room, value: Tensor) -> None:
-    """From `room.inputs` to `value`, shape (B, 1)."""
-    below = room.inputs
-    for i, (weight, _, gain, shift) in enumerate(layers[:-1]):
-        torch.mm(below, weight, out=room.before[i])
-        if gain is None:
-            room.after[i].relu_()
+def _forward(layers: list[Layer], room: _Room, inputs: Tensor, value: Tensor) -> None:
+    """From inputs to `value`, shape (B, 1)."""
+    below = inputs
+    for i, layer in enumerate(layers[:-1]):
+        torch.mm(below, layer.product, out=room.before[i])
+        if layer.gain is None:
+            rectify(room.before_floats[i], layer.small[0])
         else:
-            normal, mean, deviation = torch.native_layer_norm(room.before[i], gain.shape, gain, shift, _EPS)
-            room.moments[i] = mean, deviation
-            torch.clamp_min(normal, 0, out=room.after[i])
-        below = room.hidden[i]
-    torch.mm(below, layers[-1].weight, out=value)
+            bias, gain, shift = layer.small
+            normalize(room.before_floats[i], bias, gain, shift, room.inverse[i], room.after_floats[i])
+        below = room.after[i]
+    torch.addmm(layers[-1].weight[-1], below, layers[-1].product, out=value)
 
 
 def _backward(layers: list[Layer], room: _Room, slope: Tensor, gradients: list[Layer] | None = None) -> Tensor:
-    """From the gradient of `value`, right after `_forward`, to that of the first product; fills `gradients`."""
-    delta, learn = slope, gradients is not None
-    for i in range(len(layers) - 1, -1, -1):
-        if i < len(layers) - 1:
-            torch.ops.aten.threshold_backward.grad_input(delta, room.after[i], 0, grad_input=delta)
-            if (gain := layers[i].gain) is not None:
-                delta, dgain, dshift = torch.ops.aten.native_layer_norm_backward(
-                    delta, room.before[i], gain.shape, *room.moments[i], gain, layers[i].shift, [True, learn, learn]
-                )
-                if gradients is not None:
-                    gradients[i].gain.copy_(dgain)  # type: ignore[union-attr]
-                    gradients[i].shift.copy_(dshift)  # type: ignore[union-attr]
+    """From the gradient of `value`, right after `_forward`, to that of the first product.
+
+    Fills `gradients`, but for the first product's.
+    """
+    if gradients is not None:
+        torch.sum(slope, 0, out=gradients[-1].weight[-1])
+    delta = slope
+    for i in range(len(layers) - 2, -1, -1):
         if gradients is not None:
-            torch.mm(room.below[i], delta, out=gradients[i].weight)
-        if i:
-            delta = torch.mm(delta, layers[i].back, out=room.delta[i - 1])
+            torch.mm(room.after[i].T, delta, out=gradients[i + 1].product)
+        delta = torch.mm(delta, layers[i + 1].back, out=room.delta[i])
+        small = room.unused[i] if gradients is None else gradients[i].small
+        if layers[i].gain is None:
+            back_rectify(room.delta_floats[i], room.after_floats[i], small[0])
+        else:
+            back_normalize(
+                room.delta_floats[i], room.before_floats[i], room.after_floats[i], room.inverse[i],
+                layers[i].small[1], small[0], small[1], small[2],
+            )  # fmt: skip
     return delta

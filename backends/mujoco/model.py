@@ -65,6 +65,7 @@ def _set_options(spec: mujoco.MjSpec, robot: Robot) -> None:
     option.timestep = robot.time_step
     option.gravity = [0, 0, 0]
     option.integrator = _INTEGRATORS[robot.mujoco.integrator]
+    option.solver = mujoco.mjtSolver.mjSOL_PGS  # few constraints, many coordinates: cheaper here than Newton, as exact
     # Nothing collides. An automatic reset would hide divergence, which must be an error instead.
     option.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_CONTACT) | int(mujoco.mjtDisableBit.mjDSBL_AUTORESET)
 
