@@ -252,7 +252,7 @@ class Capture(Task):
 
     def report(self, state: State, verdict: Verdict, memory: Memory) -> dict[str, Array]:  # noqa: ARG002
         """How long the tip has been on target, in [s]."""
-        return {"dwelt": memory["dwelt"] * self.period}
+        return {"dwelt": memory["dwelt"].astype(np.float64) * self.period}
 
 
 @dataclass(frozen=True)

@@ -30,7 +30,7 @@ class Workspace:
     origin: Array
     """(3,) of the cell (0, 0, 0), its corner of least coordinates, world frame, in [m]."""
     edges: Array
-    """(3,) of a cell, in [m]; zero across a robot that moves in a plane."""
+    """(3,) of a cell, in [m]; zero across a map that is flat."""
     cells: NDArray[np.int16]
     """(n, 3)."""
     name: str = "workspace"
@@ -95,8 +95,8 @@ def cells_between(reached: NDArray[np.int64]) -> tuple[NDArray[np.int64], NDArra
         The corner of least coordinates of each cell, shape (m, 3), and shape (3,): false for an axis along which the
         points do not differ, across which a cell is flat.
     """
-    if len(reached) == 0:
-        return reached.reshape(0, 3), np.ones(3, dtype=bool)
+    if len(reached) < 2:
+        return reached.reshape(-1, 3)[:0], np.ones(3, dtype=bool)
     wide = np.ptp(reached, axis=0) > 0
     corners = [np.array([i, j, k]) for i in range(1 + wide[0]) for j in range(1 + wide[1]) for k in range(1 + wide[2])]
     points = {tuple(point) for point in reached.tolist()}

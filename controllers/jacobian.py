@@ -95,8 +95,8 @@ class JacobianController(Controller):
     def _predict_hinges(self, dynamics: Dynamics, period: float) -> tuple[Array, Array]:
         """Hinge rates after one period as offset (n, 2 J) + slope (n, 2 J, C) @ tensions."""
         implicit, force, rate, cables = self._equation(dynamics, period)
-        response = np.linalg.solve(implicit, np.concatenate([force[:, :, None], -cables.swapaxes(1, 2)], axis=2))
-        after = period * response
+        pulls = np.concatenate([force[:, :, None], -cables.swapaxes(1, 2)], axis=2)
+        after: Array = np.linalg.solve(implicit, period * pulls).astype(np.float64)
         return rate[:, 6:] + after[:, 6:, 0], after[:, 6:, 1:]
 
     def _equation(self, dynamics: Dynamics, period: float) -> tuple[Array, Array, Array, Array]:

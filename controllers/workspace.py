@@ -100,8 +100,7 @@ def draw_workspace(workspace: Workspace, robot: Robot, path: Path) -> None:
         ax.set_xlabel(f"{'xyz'[across]} [m]")
         ax.set_ylabel(f"{'xyz'[up]} [m]")
         figure.colorbar(image, ax=ax, label=f"cells along {'xyz'[along]}", shrink=0.8)
-    figure.suptitle(
-        f"Workspace of {robot.name}: {len(workspace.cells)} cells reached; straight arm in black, Anchor Space in red"
-    )
+    cells = f"{len(workspace.cells)} cells reached"
+    figure.suptitle(f"Workspace of {robot.name}: {cells}; the straight arm in black, the Anchor Space in red")
     path.parent.mkdir(parents=True, exist_ok=True)
     figure.savefig(path, dpi=110)

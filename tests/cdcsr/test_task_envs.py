@@ -132,7 +132,7 @@ def test_capture_of_a_target_at_the_idle_tip(backend: str) -> None:
     """Forty steps, and with an action every 8 steps, five actions; the next episode counts from zero."""
     for skip, actions in ((1, 40), (8, 5)):
         env = TaskVectorEnv(2, backend=backend, task="capture", frame_skip=skip)
-        env.reset(options={"targets": np.array([[0, 0, 2.7], [0, 1, 1]])})
+        _, info = env.reset(options={"targets": np.array([[0, 0, 2.7], [0, 1, 1]])})
         for k in range(1, actions + 1):
             _, reward, terminated, _, info = env.step(np.zeros((2, 8)))
             assert terminated.tolist() == [k == actions, False]
@@ -149,7 +149,7 @@ def test_follow_ends_when_time_is_up_and_says_how_it_went(backend: str) -> None:
     """An idle tip on a target at rest, and one that is not on it."""
     env = TaskVectorEnv(2, backend=backend, task="follow-line", motion="rest", max_steps=300, frame_skip=10)
     env.reset(options={"targets": np.array([[0, 0, 2.7], [0, 1, 1]])})
-    total = np.zeros(2)
+    total, info = np.zeros(2), {}
     for k in range(1, 31):
         _, reward, terminated, truncated, info = env.step(np.zeros((2, 8)))
         total += reward

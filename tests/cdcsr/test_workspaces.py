@@ -47,6 +47,7 @@ def test_points_in_a_plane_make_flat_cells() -> None:
     cells, wide = cells_between(grid)
     assert wide.tolist() == [True, False, True]
     assert sorted(cells.tolist()) == [[0, 4, 0], [0, 4, 1]]
+    assert len(cells_between(grid[:1])[0]) == 0  # one point is no cell
 
 
 def test_a_saved_map_is_a_space_of_its_robot_alone(tmp_path: Path) -> None:

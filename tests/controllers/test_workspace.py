@@ -20,15 +20,15 @@ from controllers.jacobian import JacobianController
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     out = tmp_path_factory.mktemp("map")
-    arguments = {"out": out / "map.npz", "plot": out / "map.png", "json": out / "map.json"}
-    workspace("planar-single", spacing=0.06, frame_skip=10, **arguments)
+    workspace(
+        "planar-single", out=out / "map.npz", spacing=0.2, frame_skip=10, plot=out / "map.png", json=out / "map.json"
+    )
     return out
 
 
-def test_a_planar_robot_has_a_flat_map_that_surrounds_its_anchor_space(folder: Path) -> None:
+def test_a_map_surrounds_the_anchor_space(folder: Path) -> None:
     robot = load_robot("planar-single")
     targets = make_space(str(folder / "map.npz"), robot).sample(np.random.default_rng(0), 500)
-    np.testing.assert_array_equal(targets[:, 1], 0)
     assert targets[:, 0].min() < 0 < robot.workspace.center[0] < targets[:, 0].max()
     summary = json.loads((folder / "map.json").read_text())
     assert summary["cells"] < summary["reached"] < summary["tried"]
