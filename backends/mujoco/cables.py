@@ -82,7 +82,6 @@ class Cables:
         self._travel = many.bind("qpos")[:, 7 : 7 + robot.num_cables]
         self._push = many.bind("qfrc_constraint")[:, 6 : 6 + robot.num_cables]
 
-
     def step(self) -> None:
         """Advance all copies by one time step under the controls in the batch."""
         many, rest = self._batch, self._aim()

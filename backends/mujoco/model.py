@@ -52,7 +52,7 @@ def build_spec(robot: Robot, meshes: Mapping[str, str] | None = None) -> mujoco.
     _add_sliders(base, robot, route, meshes)
     guides = _add_arm(base, robot, route, meshes)
     _add_cables(spec, robot, route, guides)
-    _add_sensors(spec, robot)
+    _add_sensors(spec)
     _add_scenery(spec, robot)
     return spec
 
@@ -190,7 +190,7 @@ def _add_cables(spec: mujoco.MjSpec, robot: Robot, route: Routing, guides: list[
         actuator.set_to_position(kp=servo.gain)
 
 
-def _add_sensors(spec: mujoco.MjSpec, robot: Robot) -> None:
+def _add_sensors(spec: mujoco.MjSpec) -> None:
     """What State needs and qpos and qvel do not give, in the order simulation.py reads it."""
     sensor, site, body = mujoco.mjtSensor, mujoco.mjtObj.mjOBJ_SITE, mujoco.mjtObj.mjOBJ_XBODY
     spec.add_sensor(name="tip_position", type=sensor.mjSENS_FRAMEPOS, objtype=site, objname="tip")

@@ -13,7 +13,8 @@ def write_plant(many: batch.Batch, ids: NDArray[np.int64], plant: Plant) -> None
     """Give simulations `ids` the numbers in the rows of `plant`.
 
     The model's order is that of the description: the base's body comes first, the links' last, root to tip; sliders
-    precede hinges. Rest lengths are the business of :class:`backends.mujoco.cables.Cables`. What a batch has computed from the state does not follow by itself: it needs a forward().
+    precede hinges. Rest lengths are for :class:`backends.mujoco.cables.Cables`. What a batch has computed from the
+    state does not follow by itself: it needs a forward().
     """
     model = many.model
     base, first_link = model.body("base").id, model.body("link_0").id
