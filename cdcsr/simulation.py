@@ -161,8 +161,8 @@ class Simulation(ABC):
             Diverged: a copy's numbers left the range in which they mean anything.
         """
         command = np.ascontiguousarray(command, dtype=float)
-        if command.shape != (self.num, self.robot.num_cables):
-            expected = (self.num, self.robot.num_cables)
+        expected = self.plant.servo_gain.shape
+        if command.shape != expected:
             raise CdcsrError(f"Commands have the shape (num, cables) = {expected}, not {command.shape}.")
         if self._line.idle:
             self._step(command, substeps)

@@ -24,11 +24,9 @@ from numpy.typing import NDArray
 
 from backends.mujoco.model import build_spec
 from cdcsr.cables import routing
-from cdcsr.parameters import Plant
 from cdcsr.robot import Robot
 
 Array = NDArray[np.float64]
-Ids = NDArray[np.int64]
 
 CURRENT = int(mujoco.mjtStage.mjSTAGE_VEL)
 """Positions, velocities and their sensors are made current after each step. In a persistent batch the next step
@@ -41,8 +39,8 @@ _EXCESS = 5e-5
 """What a cable is too long by (in [m]) is taken back at once, or if it is more than this with the recovery time.
 Steps leave less, from the curvature of the motion; more comes from a state or a rest length set from outside."""
 _TOGETHER = 4
-"""Tries that change all wrong cables at once. It nearly always takes one or two, but may go round in circles; later
-ones change only the first wrong cable, which never does (Murty's rule, for any positive definite matrix)."""
+"""Tries that change all wrong cables at once. No step was seen to need more than two, but they may go round in circles;
+later ones change only the first wrong cable, which never does (Murty's rule, for positive definite matrices)."""
 
 
 def stepping_spec(robot: Robot) -> mujoco.MjSpec:
@@ -71,28 +69,37 @@ class Cables:
             were set to something new.
     """
 
-    def __init__(self, robot: Robot, many: batch.Batch, plant: Plant) -> None:
-        route = routing(robot)
-        self.tension = np.zeros((many.nsim, robot.num_cables))
-        self._batch, self._plant, self._route = many, plant, route
+    def __init__(self, robot: Robot, many: batch.Batch) -> None:
+        route, cables = routing(robot), robot.num_cables
+        self.tension = np.zeros((many.nsim, cables))
+        self._batch, self._before, self._slider_offset = many, many.state.copy(), route.slider_offset
+        self._rest = np.tile(route.rest_length, (many.nsim, 1))
+        self._described_rest = route.rest_length
         self._target = many.expand("eq_data")[:, :, 0]
         """(num, C) where equalities end a step, as the length beyond the description's rest length, in [m]."""
+        self._recovering = False
         self._keep = 1 - robot.time_step / robot.constraint.recovery_time
         self._length, self._held = many.bind("ten_length"), many.bind("eq_active")
-        self._travel = many.bind("qpos")[:, 7 : 7 + robot.num_cables]
-        self._push = many.bind("qfrc_constraint")[:, 6 : 6 + robot.num_cables]
+        self._travel = many.bind("qpos")[:, 7 : 7 + cables]
+        self._push = many.bind("qfrc_constraint")[:, 6 : 6 + cables]
+
+    def set_rest_length(self, ids: NDArray[np.int64], offset: Array) -> None:
+        """Make cables of copies `ids` longer than described by `offset`, shape (len(ids), C), in [m]."""
+        self._rest[ids] = self._described_rest + offset
+        self._target[ids] = offset
 
     def step(self) -> None:
         """Advance all copies by one time step under the controls in the batch."""
-        many, rest = self._batch, self._aim()
-        before = many.state.copy()
-        # The constraints' force on a slider is its own cable's tension: downward if it hangs below the first guide.
-        side = np.where(self._travel < self._route.slider_offset, 1.0, -1.0)
+        many, end = self._batch, self._aim()
+        before = self._before
+        before[:] = many.state
+        # The constraints' force on a slider is its own cable's tension: upward as long as it is below the first guide.
+        side = np.sign(self._slider_offset - self._travel)
         many.step(stage=CURRENT)
-        # More tries than cables only happen if curvature makes a cable seem wrong both ways; then either will do.
-        for tries in range(_TOGETHER + 2 * rest.shape[1]):
+        # More tries than these only happen if curvature makes a cable seem wrong both ways; then either will do.
+        for tries in range(_TOGETHER + 2 * end.shape[1]):
             held = self._held != 0
-            wrong = np.where(held, self._push * side < -_PUSHING, self._length > rest + _TOO_LONG)
+            wrong = np.where(held, self._push * side < -_PUSHING, self._length > end + _TOO_LONG)
             if not wrong.any():
                 break
             ids = np.flatnonzero(wrong.any(axis=1))
@@ -106,13 +113,13 @@ class Cables:
 
     def _aim(self) -> Array:
         """Set what cables that are to hold end the coming step at; returns these lengths, shape (num, C), in [m]."""
-        offset = self._plant.rest_length_offset
-        rest = self._route.rest_length + offset
-        excess = self._length - rest
-        excess = np.where(excess > _EXCESS, self._keep * excess, 0.0)
-        target = offset + excess
+        excess = self._length - self._rest
+        if not (self._recovering or excess.max() > _EXCESS):
+            return self._rest
+        left = np.where(excess > _EXCESS, self._keep * excess, 0.0)
+        target = self._rest - self._described_rest + left
         late = (self._target != target).any(axis=1)
-        if late.any():
-            self._target[:] = target
-            self._batch.forward(np.flatnonzero(late), stage=CURRENT)
-        return rest + excess
+        self._target[:] = target
+        self._batch.forward(np.flatnonzero(late), stage=CURRENT)
+        self._recovering = bool(left.any())
+        return self._rest + left

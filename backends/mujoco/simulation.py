@@ -40,7 +40,7 @@ class MujocoSimulation(Simulation):
         self._sensors = self.batch.bind("sensordata")
         self._qpos, self._qvel = self.batch.bind("qpos"), self.batch.bind("qvel")
         self._time, self._ctrl = self.batch.bind("time"), self.batch.bind("ctrl")
-        self._cables = Cables(robot, self.batch, self.plant)
+        self._cables = Cables(robot, self.batch)
         self._scratch = mujoco.MjData(self.model)
         self._renderer: mujoco.Renderer | None = None
         # Where a copy's own model is looked at; None as long as all have the same.
@@ -49,6 +49,7 @@ class MujocoSimulation(Simulation):
 
     def _set_plant(self, ids: NDArray[np.int64], plant: Plant) -> None:
         write_plant(self.batch, ids, plant)
+        self._cables.set_rest_length(ids, plant.rest_length_offset)
         # The next step starts from what the last one has left, mass matrix and all; that is now out of date.
         self.batch.forward(ids, stage=CURRENT)
         if self._own_model is None:
@@ -76,7 +77,7 @@ class MujocoSimulation(Simulation):
             raise Diverged(self.engine, copy, float(self._time[copy]), f"a speed of {speed[copy]:.3g}")
 
     def state(self) -> State:
-        num_cables = self.robot.num_cables
+        num_cables = self._ctrl.shape[1]
         sensors = self._sensors.copy()
         qpos, qvel = self._qpos.copy(), self._qvel.copy()
         return State(
