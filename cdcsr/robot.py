@@ -142,9 +142,10 @@ class MujocoOptions(Part):
     """Numbers only MuJoCo has."""
 
     integrator: Literal["implicitfast", "implicit", "Euler"] = "implicitfast"
+    """Of the model files, for stock MuJoCo. The simulation has dampers implicit, and nothing else, whatever it is."""
     impedance: Annotated[float, Field(gt=0, lt=1)] = 0.999
-    """Constraint impedance (solimp dmin = dmax); 1 is rigid. Too near to 1, a taut cable that shrinks by nanometres
-    counts as slack for a step, in which its slider flies free."""
+    """Impedance (solimp dmin = dmax) of hinge limits and, in the model files, of cables; 1 is rigid. Too near to 1,
+    a taut cable of the model files that shrinks by nanometres is slack for a step, in which its slider flies free."""
 
 
 class Robot(Part):

@@ -146,11 +146,15 @@ class Simulation(ABC):
         self._line.set_delay(chosen, delay)
         self._set_plant(chosen, plant)
 
-    def use_own_settings(self) -> None:
+    def use_own_settings(self, numbers: bool = True) -> None:  # noqa: ARG002
         """From now on step as the engine does by itself, and put all copies back to the start.
 
         What an engine was told only so that it agrees with the description and the other engines is undone; masses,
         routes, springs, dampers and servos stay. Each engine says in its own docstring what that comes to.
+
+        Args:
+            numbers: with the engine's own numbers, too; otherwise it holds cables in its own way, if it has one, with
+                the softness that the description gives.
 
         Raises:
             CdcsrError: the engine lacks the capability "own_settings".
@@ -174,8 +178,8 @@ class Simulation(ABC):
             Diverged: a copy's numbers left the range in which they mean anything.
         """
         command = np.ascontiguousarray(command, dtype=float)
-        if command.shape != (self.num, self.robot.num_cables):
-            expected = (self.num, self.robot.num_cables)
+        expected = self.plant.servo_gain.shape
+        if command.shape != expected:
             raise CdcsrError(f"Commands have the shape (num, cables) = {expected}, not {command.shape}.")
         if self._line.idle:
             self._step(command, substeps)

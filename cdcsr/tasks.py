@@ -78,7 +78,8 @@ class Task(ABC):
 
     def distance(self, state: State, target: Array) -> Array:
         """From tip to target, shape (num,), in [m]."""
-        return np.linalg.norm(target - state.tip_position, axis=1)
+        apart = target - state.tip_position
+        return np.sqrt(np.einsum("ni,ni->n", apart, apart))
 
     def parts(self, state: State, target: Array, distance: Array) -> dict[str, Array]:
         """The parts of eq. (1) by name, in its order, each of shape (num, ...)."""

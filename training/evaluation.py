@@ -111,8 +111,8 @@ def evaluate(
         autoreset_mode="Disabled",
     )
     try:
-        if plant.own_settings:
-            env.simulation.use_own_settings()
+        if plant.own_settings or plant.own_cables:
+            env.simulation.use_own_settings(numbers=plant.own_settings)
         if plant.parameters is not None:
             env.simulation.set_parameters(None, plant.parameters)
         observation, _ = env.reset(seed=seed)

@@ -25,6 +25,8 @@ class SecondPlant:
     """How many actions old an observation is when it arrives."""
     own_settings: bool = False
     """Step as the engine does by itself: see :meth:`cdcsr.simulation.Simulation.use_own_settings`."""
+    own_cables: bool = False
+    """Hold cables as the engine does by itself, with the softness of the robot's description."""
 
 
 @dataclass(frozen=True)
@@ -90,12 +92,13 @@ def _whole(name: str, level: float) -> int:
 
 
 def _softer(robot: Robot, level: float) -> SecondPlant:
-    """Recovery time times `level`; MuJoCo's compliance (1 - d) / d, where d is the impedance, too."""
+    """MuJoCo's soft limits instead of cables that hold: their recovery time times `level`, and their compliance
+    (1 - d) / d, where d is the impedance, too."""
     data = robot.model_dump()
     data["constraint"]["recovery_time"] *= level
     impedance = robot.mujoco.impedance
     data["mujoco"]["impedance"] = 1 / (1 + level * (1 - impedance) / impedance)
-    return SecondPlant(Robot.model_validate(data))
+    return SecondPlant(Robot.model_validate(data), own_cables=True)
 
 
 def _time_step(robot: Robot, level: float) -> SecondPlant:
@@ -138,7 +141,7 @@ AXES: dict[str, Axis] = {
         ),
         Axis(
             "cable_softness",
-            "recovery time of cables and hinge limits, and MuJoCo's compliance (PyBullet knows the time alone)",
+            "recovery time and compliance of MuJoCo's own soft cables (PyBullet's cables do not stretch)",
             "factor", (2.0, 4.0, 8.0, 16.0, 32.0, 64.0, 128.0), (), _softer,
         ),
         Axis(

@@ -6,7 +6,8 @@ import time
 
 import numpy as np
 
-from backends.mujoco.simulation import CURRENT, MujocoSimulation
+from backends.mujoco.cables import CURRENT
+from backends.mujoco.simulation import MujocoSimulation
 from cdcsr.envs import ReachVectorEnv
 from cdcsr.robot import Robot
 

@@ -1,4 +1,8 @@
-"""Robot -> MuJoCo model, through MjSpec. Cables are spatial tendons that may not exceed their rest length."""
+"""Robot -> MuJoCo model, through MjSpec. Cables are spatial tendons that may not exceed their rest length.
+
+In stock MuJoCo, as in the model files and the viewers, that is a limit. The simulation replaces it by the equalities
+that are switched off here: see :mod:`backends.mujoco.cables`.
+"""
 
 from __future__ import annotations
 
@@ -18,6 +22,8 @@ _INTEGRATORS = {
 _TOUCH = 1e-9
 """MuJoCo sees a limit only once it is exceeded. A cable that is straight at the start exceeds it by this much
 (in [m]), so that the first pull acts on the arm and not on a free slider for one step."""
+_RIGID = 0.9999
+"""MuJoCo's largest impedance."""
 _GREY, _STEEL, _CABLE, _RED = (0.75, 0.76, 0.8, 1), (0.45, 0.5, 0.58, 1), (0.9, 0.55, 0.1, 1), (0.85, 0.2, 0.2, 1)
 
 
@@ -46,12 +52,12 @@ def build_spec(robot: Robot, meshes: Mapping[str, str] | None = None) -> mujoco.
     _add_sliders(base, robot, route, meshes)
     guides = _add_arm(base, robot, route, meshes)
     _add_cables(spec, robot, route, guides)
-    _add_sensors(spec, robot)
+    _add_sensors(spec)
     _add_scenery(spec, robot)
     return spec
 
 
-def use_own_settings(spec: mujoco.MjSpec) -> None:
+def use_own_softness(spec: mujoco.MjSpec) -> None:
     """Give a robot's spec MuJoCo's own integrator and softness of limits, as in an empty MjSpec."""
     own = mujoco.MjSpec()
     spec.option.integrator = own.option.integrator
@@ -175,6 +181,16 @@ def _add_cables(spec: mujoco.MjSpec, robot: Robot, route: Routing, guides: list[
         )
         for site in (f"pull_{c}", *guides[c]):
             tendon.wrap_site(site)
+        # Ends a step at the rest length, from wherever it began: a = -v / h - excess / h^2.
+        spec.add_equality(
+            name=f"held_{c}",
+            type=mujoco.mjtEq.mjEQ_TENDON,
+            objtype=mujoco.mjtObj.mjOBJ_TENDON,
+            name1=tendon.name,
+            active=False,
+            solref=[-1 / robot.time_step**2, -1 / robot.time_step],
+            solimp=[_RIGID, _RIGID, 0.001, 0.5, 2],
+        )
         actuator = spec.add_actuator(
             name=f"servo_{c}",
             trntype=mujoco.mjtTrn.mjTRN_JOINT,
@@ -184,15 +200,12 @@ def _add_cables(spec: mujoco.MjSpec, robot: Robot, route: Routing, guides: list[
         actuator.set_to_position(kp=servo.gain)
 
 
-def _add_sensors(spec: mujoco.MjSpec, robot: Robot) -> None:
+def _add_sensors(spec: mujoco.MjSpec) -> None:
     """What State needs and qpos and qvel do not give, in the order simulation.py reads it."""
     sensor, site, body = mujoco.mjtSensor, mujoco.mjtObj.mjOBJ_SITE, mujoco.mjtObj.mjOBJ_XBODY
     spec.add_sensor(name="tip_position", type=sensor.mjSENS_FRAMEPOS, objtype=site, objname="tip")
     spec.add_sensor(name="tip_velocity", type=sensor.mjSENS_FRAMELINVEL, objtype=site, objname="tip")
     spec.add_sensor(name="base_angular_velocity", type=sensor.mjSENS_FRAMEANGVEL, objtype=body, objname="base")
-    for c in range(robot.num_cables):
-        tendon = mujoco.mjtObj.mjOBJ_TENDON
-        spec.add_sensor(name=f"tension_{c}", type=sensor.mjSENS_TENDONLIMITFRC, objtype=tendon, objname=f"cable_{c}")
 
 
 def _add_scenery(spec: mujoco.MjSpec, robot: Robot) -> None:

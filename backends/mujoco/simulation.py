@@ -7,20 +7,16 @@ import numpy as np
 from mujoco import batch
 from numpy.typing import NDArray
 
-from backends.mujoco.model import build_spec, use_own_settings
+from backends.mujoco.cables import CURRENT, Cables, Limits, stepping_spec
+from backends.mujoco.model import build_spec, use_own_softness
 from backends.mujoco.plants import write_plant
 from cdcsr.errors import CdcsrError, Diverged
 from cdcsr.parameters import Plant
 from cdcsr.robot import Robot
 from cdcsr.simulation import CAMERAS, Array, Dynamics, Ids, Simulation, Snapshot, State, processors, rotation_matrix
 
-# Positions, velocities and their sensors are made current after each step. In a persistent batch the next
-# step starts from them, so this costs nothing.
-CURRENT = int(mujoco.mjtStage.mjSTAGE_VEL)
 _WHOLE_STATE = int(mujoco.mjtState.mjSTATE_INTEGRATION)
 """What a row of a batch's state holds."""
-_TENSION = 9
-"""Tensions begin here in the sensor data; before them tip position, tip velocity, base angular velocity."""
 _SPEED_LIMIT = 1e4
 """No coordinate moves this fast (m/s or rad/s) unless the integration has failed."""
 
@@ -42,34 +38,36 @@ class MujocoSimulation(Simulation):
         if threads is None:  # waking a thread costs about as much as stepping a few copies
             threads = processors() if num >= 8 else 1
         self._threads = threads
-        self._tension = np.zeros((num, robot.num_cables))
         self._renderer: mujoco.Renderer | None = None
-        self._start(build_spec(robot).compile())
+        self._start(stepping_spec(robot).compile(), Cables)
 
-    def _start(self, model: mujoco.MjModel) -> None:
+    def _start(self, model: mujoco.MjModel, cables: type[Cables | Limits]) -> None:
         """Simulate a model from the start."""
         self.model = model
         self.batch = batch.Batch(model, self.num, self._threads, True)
         self._sensors = self.batch.bind("sensordata")
         self._qpos, self._qvel = self.batch.bind("qpos"), self.batch.bind("qvel")
         self._time, self._ctrl = self.batch.bind("time"), self.batch.bind("ctrl")
+        self._cables = cables(self.robot, self.batch)
         self._scratch = mujoco.MjData(model)
         # Where a copy's own model is looked at; None as long as all have the same.
         self._own_model: mujoco.MjModel | None = None
         self.reset()
 
-    def use_own_settings(self) -> None:
-        """As in the contract. MuJoCo's are the Euler integrator, and limits (of cables and hinges) of the softness
-        solref = (0.02, 1), solimp = (0.9, 0.95, 0.001, 0.5, 2)."""
+    def use_own_settings(self, numbers: bool = True) -> None:
+        """As in the contract. MuJoCo's own way is to limit tendons, softly, and to move with implicit dampers; its
+        numbers are the Euler integrator and limits of the softness solref = (0.02, 1), solimp = (0.9, 0.95, ...)."""
         spec = build_spec(self.robot)
-        use_own_settings(spec)
+        if numbers:
+            use_own_softness(spec)
         self.close()
-        self._start(spec.compile())
+        self._start(spec.compile(), Limits)
         self._set_plant(np.arange(self.num), self.plant)
         self.reset()
 
     def _set_plant(self, ids: NDArray[np.int64], plant: Plant) -> None:
         write_plant(self.batch, ids, plant)
+        self._cables.set_rest_length(ids, plant.rest_length_offset)
         # The next step starts from what the last one has left, mass matrix and all; that is now out of date.
         self.batch.forward(ids, stage=CURRENT)
         if self._own_model is None:
@@ -81,13 +79,12 @@ class MujocoSimulation(Simulation):
         if travel.any():
             self._qpos[ids, 7 : 7 + self.robot.num_cables] = travel
             self.batch.forward(ids, stage=CURRENT)
-        self._tension[ids] = 0
+        self._cables.tension[ids] = 0
 
     def _step(self, command: Array, substeps: int) -> None:
         self._ctrl[:] = command
-        self.batch.step(nstep=substeps, stage=CURRENT)
-        # A cable that is not at its limit reports zero; the limit's multiplier is a pull.
-        np.maximum(self._sensors[:, _TENSION:], 0, out=self._tension)
+        for _ in range(substeps):
+            self._cables.step()
         self._check_divergence()
 
     def _check_divergence(self) -> None:
@@ -98,7 +95,7 @@ class MujocoSimulation(Simulation):
             raise Diverged(self.engine, copy, float(self._time[copy]), f"a speed of {speed[copy]:.3g}")
 
     def state(self) -> State:
-        num_cables = self.robot.num_cables
+        num_cables = self._ctrl.shape[1]
         sensors = self._sensors.copy()
         qpos, qvel = self._qpos.copy(), self._qvel.copy()
         return State(
@@ -108,30 +105,30 @@ class MujocoSimulation(Simulation):
             base_position=qpos[:, 0:3],
             base_quaternion=qpos[:, 3:7],
             base_velocity=qvel[:, 0:3],
-            base_angular_velocity=sensors[:, 6:_TENSION],
+            base_angular_velocity=sensors[:, 6:9],
             cable_travel=qpos[:, 7 : 7 + num_cables],
-            cable_tension=self._tension.copy(),
+            cable_tension=self._cables.tension.copy(),
             joint_angles=qpos[:, 7 + num_cables :],
             joint_rates=qvel[:, 6 + num_cables :],
         )
 
     def _get_snapshot(self) -> Snapshot:
         velocity = self._qvel.copy()
-        velocity[:, 3:6] = self._sensors[:, 6:_TENSION]  # MuJoCo's own is in the base frame
-        private = np.concatenate([self.batch.state, self._tension], axis=1)
+        velocity[:, 3:6] = self._sensors[:, 6:9]  # MuJoCo's own is in the base frame
+        private = np.concatenate([self.batch.state, self._cables.tension], axis=1)
         return Snapshot(self.engine, self.robot.fingerprint, self._time.copy(), self._qpos.copy(), velocity, private)
 
     def _set_snapshot(self, snapshot: Snapshot) -> None:
         if snapshot.engine == self.engine:
             size = self.batch.state.shape[1]
             self.batch.state[:] = snapshot.private[:, :size]
-            self._tension[:] = snapshot.private[:, size:]
+            self._cables.tension[:] = snapshot.private[:, size:]
         else:
             self.batch.reset(stage=int(mujoco.mjtStage.mjSTAGE_NONE))
             self._time[:], self._qpos[:], self._qvel[:] = snapshot.time, snapshot.position, snapshot.velocity
             to_body = rotation_matrix(snapshot.position[:, 3:7]).swapaxes(1, 2)
             self._qvel[:, 3:6] = np.einsum("nij,nj->ni", to_body, snapshot.velocity[:, 3:6])
-            self._tension[:] = 0
+            self._cables.tension[:] = 0
         self.batch.forward(stage=CURRENT)
 
     def write_to(self, data: mujoco.MjData, index: int = 0) -> None:
@@ -152,7 +149,7 @@ class MujocoSimulation(Simulation):
         bias, passive = np.zeros((2, len(chosen), nv))
         cables, velocity = np.zeros((len(chosen), num_cables, nv)), np.zeros((len(chosen), nv))
         length = np.zeros((len(chosen), num_cables))
-        tip_site = model.site("tip").id
+        tip_site, diagonal = model.site("tip").id, np.arange(nv)
         for i, copy in enumerate(chosen):
             if own is not None:
                 model = self.batch.get_model(int(copy), own)
@@ -160,6 +157,7 @@ class MujocoSimulation(Simulation):
             mujoco.mj_fwdPosition(model, data)
             mujoco.mj_fwdVelocity(model, data)
             mujoco.mj_fullM(model, data, mass[i])
+            mass[i, diagonal, diagonal] -= model.dof_armature  # which is no mass: see cables.stepping_spec
             mujoco.mj_jacSite(model, data, tip[i], None, tip_site)
             bias[i], passive[i], velocity[i] = data.qfrc_bias, data.qfrc_passive, data.qvel
             cables[i], length[i] = _dense_tendon_jacobian(model, data), data.ten_length

@@ -55,14 +55,15 @@ class PybulletSimulation(Simulation):
     def _set_plant(self, ids: NDArray[np.int64], plant: Plant) -> None:
         self._world.set_plant(ids, plant)
 
-    def use_own_settings(self) -> None:
+    def use_own_settings(self, numbers: bool = True) -> None:
         """As in the contract. PyBullet's are a damping of 0.04 on all motion of every body, and joint speeds clamped
         at 100.
 
         Its own joint damping, explicit, is not among them: the tensions are solved for with the dampers implicit, and
-        a damper that solve did not know of would let cables stretch.
+        a damper that solve did not know of would let cables stretch. It has no way of its own to hold cables.
         """
-        self._world.use_own_settings()
+        if numbers:
+            self._world.use_own_settings()
         self.reset()
 
     def _reset(self, ids: NDArray[np.int64]) -> None:

@@ -3,15 +3,17 @@
 from __future__ import annotations
 
 import dataclasses
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
 import pytest
 
+from backends.mujoco.cables import CURRENT
 from backends.mujoco.simulation import MujocoSimulation
 from cdcsr.errors import Diverged
 from cdcsr.robot import Robot
-from physics import commands_of
+from physics import commands_of, moving, slack, straight
 
 
 @pytest.fixture
@@ -65,3 +67,39 @@ def test_an_impossible_time_step_diverges(paper: Robot) -> None:
     simulation = MujocoSimulation(Robot.model_validate(coarse))
     with pytest.raises(Diverged, match="smaller time_step"):
         simulation.step(commands_of(paper, 1)[0], 2000)
+
+
+@pytest.mark.parametrize("guess", [0.0, 1.0])
+def test_which_cables_hold_does_not_depend_on_the_first_guess(paper: Robot, guess: float) -> None:
+    """Slack, taut and too long cables, with all or none of them guessed to hold: tensions and motion are the same."""
+    start, command = moving(paper, 6), commands_of(paper, 1, num=6)[0]
+    simulations = MujocoSimulation(paper, 6), MujocoSimulation(paper, 6)
+    for simulation in simulations:
+        simulation.set_snapshot(start)
+    for _ in range(20):
+        simulations[1].batch.bind("eq_active")[:] = guess
+        simulations[1].batch.forward(stage=CURRENT)
+        for simulation in simulations:
+            simulation.step(command)
+    one, other = (simulation.state() for simulation in simulations)
+    assert (one.cable_tension > 1).any()
+    assert (one.cable_tension == 0).any()
+    for field in dataclasses.fields(one):
+        values = [getattr(state, field.name) for state in (one, other)]
+        np.testing.assert_allclose(*values, rtol=1e-3, atol=1e-3, err_msg=field.name)
+
+
+def test_an_excess_is_taken_back_with_the_recovery_time(paper: Robot) -> None:
+    """A cable set 2 mm too long: the first step takes back what is due, h / recovery time; what has come into motion
+    goes on, so later ones take back no less, until the cable is as long as at rest, or slack."""
+    start = straight(paper)
+    start.position[0, 7] = -2e-3
+    simulation = MujocoSimulation(paper)
+    simulation.set_snapshot(start)
+    keep, excess = 1 - paper.time_step / paper.constraint.recovery_time, [2e-3]
+    for _ in range(8):
+        simulation.step(np.zeros((1, paper.num_cables)))
+        excess.append(-slack(paper, simulation)[0, 0])
+    assert excess[1] == pytest.approx(keep * 2e-3, rel=1e-3)
+    for before, after in pairwise(excess):
+        assert after < max(keep * before, 0) + 6e-6

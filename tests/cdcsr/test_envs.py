@@ -232,7 +232,8 @@ def test_without_autoreset_episodes_go_on_until_told() -> None:
     env = gymnasium.make_vec("cdcsr/Reach-v0", num_envs=3, autoreset_mode="Disabled", max_steps=2)
     assert env.metadata["autoreset_mode"] is AutoresetMode.DISABLED
     env.reset(options={"targets": np.array([[0, 1, 1]] * 3)})
-    pull = np.full((3, 8), -5.0)
+    pull = np.zeros((3, 8))
+    pull[:, 0] = -5
     env.step(pull)
     before, _, _, truncated, info = env.step(pull)
     assert truncated.all()

@@ -24,7 +24,7 @@ from controllers.parity.one_state import one_state, random_states
 from controllers.parity.one_step import one_step
 from controllers.parity.open_loop import OpenLoop, open_loop, refined
 from controllers.parity.study import Parity, measure, show
-from controllers.parity.trajectories import Commands, random_commands
+from controllers.parity.trajectories import Commands, demonstrator_commands, random_commands
 
 ENGINES: Engines = {"mujoco": MujocoSimulation, "pybullet": PybulletSimulation}
 
@@ -177,7 +177,7 @@ def test_an_engine_of_another_robot_converges_elsewhere(paper: Robot) -> None:
 def test_the_papers_robot_is_within_every_tolerance(result: Parity) -> None:
     assert [str(check) for check in result.failed] == []
     demonstrator = result.open_loop[0]
-    assert demonstrator.mean_distance("pybullet")[0] < 1e-4
+    assert demonstrator.mean_distance("pybullet")[0] < 1e-6
     for engine in ENGINES:
         assert 0.9 < demonstrator.order(engine) < 1.1
 
@@ -218,6 +218,22 @@ def test_the_command_names_the_first_failure_and_exits_with_1(
 def test_wrong_options_exit_with_2(options: list[str], message: str, capsys: pytest.CaptureFixture[str]) -> None:
     assert run(command, "cdcsr parity", ["paper", *options]) == 2
     assert message in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("engine", ENGINES)
+@pytest.mark.parametrize("name", shipped_robots())
+def test_cables_hardly_stretch_along_demonstrations(name: str, engine: str) -> None:
+    """At most 0.05 mm beyond the rest length, on the way to targets."""
+    robot = load_robot(name)
+    route, commands = routing(robot), demonstrator_commands(robot, engine, episodes=2, seed=1)
+    simulation, longest = ENGINES[engine](robot, 2), 0.0
+    for each in commands.values.swapaxes(0, 1):
+        simulation.step(each)
+        state = simulation.state()
+        excess = cable_lengths(route, state.cable_travel, state.joint_angles) - route.rest_length
+        longest = max(longest, excess.max())
+    simulation.close()
+    assert longest <= 0.05e-3
 
 
 @pytest.mark.slow
