@@ -37,7 +37,7 @@ BUDGETS = {
     budget.name: budget
     for budget in (
         Budget("quick", 1, 1_500, 1_500, 20, 500, 20),
-        Budget("standard", 3, 6_000, 20_000, 100, 500, 100),
+        Budget("standard", 3, 6_000, 20_000, 100, 750, 100),
         Budget("paper", 5, 12_000, 100_000, 100, 1_000, 100),
     )
 }
@@ -47,7 +47,19 @@ BACKENDS = ("mujoco", "pybullet")
 METHODS = ("batd3", "bc", "clasp", "td3wd", "rlpd", "rbl", "drldr", "td3", "her")
 """All of them, those that are compared most first."""
 OURS = "clasp"
-OURS_SWITCHES: tuple[tuple[tuple[str, Any], ...], ...] = ()
+OURS_SWITCHES: tuple[tuple[tuple[str, Any], ...], ...] = (
+    (("clone_start", False),),
+    (("clone_anchor", 0.0),),
+    (("anchor_updates", 4_000),),
+    (("hindsight", 1),),
+    (("target_choice", "hard"),),
+    (("discount", 1.0), ("step_cost", 0.004)),
+    (("final_learning_rate", 0.1),),
+    (("kept_share", 0.25), ("keep_successes", True)),
+    (("noise_ladder", True),),
+    (("clone_anchor", 2.0), ("scaled_values", True)),
+    (("critics", 5),),
+)
 """What the ablation of our method changes in its learner, one change an entry."""
 ABLATIONS = ("batd3", "batd3-no-bc", "batd3-no-prefill", "batd3-no-ensemble")
 COUNTS = (3, 5, 20)
