@@ -24,7 +24,8 @@ from cdcsr.errors import Diverged
 from cdcsr.robot import Robot, load_robot
 from cdcsr.simulation import Array, Simulation, make_simulation
 from cdcsr.spaces import Space, make_space
-from cdcsr.tasks import Reach, Reward, actions_per_episode
+from cdcsr.task import Reward
+from cdcsr.tasks import Reach, actions_per_episode
 
 _TARGET = (0.2, 0.7, 0.3, 0.4)
 """Colour of the ball in which a reach succeeds."""

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from cdcsr.delays import DelayLine, check_delay
 from cdcsr.errors import CdcsrError
 from cdcsr.generators import pack_generator, unpack_generator
-from cdcsr.tasks import BASE_POSITION
+from cdcsr.observation import BASE_POSITION
 
 Array = NDArray[np.float64]
 

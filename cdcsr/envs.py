@@ -14,11 +14,13 @@ from cdcsr.disturbances import Channel, Disturbances
 from cdcsr.errors import CdcsrError, unknown_choice
 from cdcsr.generators import pack_generator, unpack_generator
 from cdcsr.motions import MotionName, make_motion
+from cdcsr.observation import observation_size
 from cdcsr.randomization import Randomization
 from cdcsr.robot import Robot, load_robot
 from cdcsr.simulation import Snapshot, State, make_simulation
 from cdcsr.spaces import make_space
-from cdcsr.tasks import Reward, Task, Verdict, actions_per_episode, make_task, observation_size
+from cdcsr.task import Reward, Task, Verdict
+from cdcsr.tasks import actions_per_episode, make_task
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]

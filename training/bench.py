@@ -11,8 +11,8 @@ import numpy as np
 import torch
 
 from backends.peers import MissingPeer, Peer
+from cdcsr.observation import observation_size
 from cdcsr.robot import Robot, load_robot
-from cdcsr.tasks import observation_size
 from training.algorithms import BATD3
 from training.config import Learner
 from training.replay import Batch

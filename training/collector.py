@@ -11,7 +11,7 @@ import torch
 from numpy.typing import NDArray
 
 from cdcsr.envs import ReachVectorEnv
-from cdcsr.tasks import observation_size
+from cdcsr.observation import observation_size
 from training.config import Learner
 from training.networks import Actor
 

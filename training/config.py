@@ -130,8 +130,7 @@ OWN: dict[str, dict[PresetName, dict[str, Any]]] = {
     # The twin critics of TD3; the tuned preset has no larger ensemble to begin with.
     "batd3-no-ensemble": {"paper": {"critics": 2}, "tuned": {"critics": 2}},
     "clasp": {
-        preset: {"clone_start": True, "clone_anchor": 0.7, "anchor_updates": 2_000}
-        for preset in ("paper", "tuned")
+        preset: {"clone_start": True, "clone_anchor": 0.7, "anchor_updates": 2_000} for preset in ("paper", "tuned")
     },
 }
 """What an algorithm's learner has of its own in each preset."""

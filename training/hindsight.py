@@ -5,7 +5,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from cdcsr.tasks import BASE_POSITION, BASE_QUATERNION, TIP_POSITION, TIP_VELOCITY, Task, with_target
+from cdcsr.observation import BASE_POSITION, BASE_QUATERNION, TIP_POSITION, TIP_VELOCITY, with_target
+from cdcsr.task import Task
 from training.collector import FinishedEpisode
 
 Array = NDArray[np.float64]

@@ -8,8 +8,9 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
+from cdcsr.observation import observation_size
 from cdcsr.robot import Robot
-from cdcsr.tasks import Task, observation_size
+from cdcsr.task import Task
 from training.collector import FinishedEpisode
 from training.config import Learner
 from training.hindsight import relabel

@@ -7,8 +7,8 @@ from typing import Literal
 import torch
 from torch import Tensor, nn
 
+from cdcsr.observation import TARGET, TIP_POSITION, observation_size
 from cdcsr.robot import Robot
-from cdcsr.tasks import TARGET, TIP_POSITION, observation_size
 from training.ensemble import Ensemble
 
 _ERROR_SCALE = 0.1

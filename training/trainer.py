@@ -20,7 +20,8 @@ from cdcsr.randomization import Randomization
 from cdcsr.robot import Robot, load_robot
 from cdcsr.simulation import load_backend
 from cdcsr.spaces import demonstration_space, make_space
-from cdcsr.tasks import Reward, make_task
+from cdcsr.task import Reward
+from cdcsr.tasks import make_task
 from controllers import demonstrations
 from controllers.demonstrations import Episode
 from controllers.jacobian import JacobianController

@@ -9,8 +9,10 @@ import numpy as np
 import pytest
 
 from cdcsr.errors import CdcsrError
+from cdcsr.observation import with_target
 from cdcsr.simulation import Array, State
-from cdcsr.tasks import TASKS, Follow, Task, Verdict, base_errors, make_task, with_target
+from cdcsr.task import Task, Verdict, base_errors
+from cdcsr.tasks import TASKS, Follow, make_task
 
 
 def state(tip: Array, velocity: Array, shift: Array | None = None, tilt: float = 0.0) -> State:

@@ -7,9 +7,10 @@ import pytest
 
 from cdcsr.disturbances import BASE_POSITION
 from cdcsr.errors import CdcsrError
+from cdcsr.observation import observation_size
 from cdcsr.robot import load_robot, shipped_robots
 from cdcsr.simulation import State
-from cdcsr.tasks import Reach, actions_per_episode, observation_size
+from cdcsr.tasks import Reach, actions_per_episode
 
 TARGET = np.array([[7.0, 8.0, 9.0], [1.0, 2.0, 3.03]])
 

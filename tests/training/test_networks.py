@@ -10,8 +10,8 @@ import pytest
 import torch
 from torch import Tensor, nn
 
+from cdcsr.observation import observation_size
 from cdcsr.robot import Robot, load_robot
-from cdcsr.tasks import observation_size
 from training.algorithms import BATD3
 from training.config import Learner
 from training.ensemble import Ensemble

@@ -14,7 +14,7 @@ from torch import Tensor
 from torch.nn import functional
 
 from cdcsr.robot import Robot
-from cdcsr.tasks import Reward
+from cdcsr.task import Reward
 from training.config import Learner
 from training.networks import Actor, Critics
 from training.replay import Batch
