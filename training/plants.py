@@ -45,6 +45,12 @@ class Axis:
     """The plant at a level."""
 
     @property
+    def title(self) -> str:
+        """For a figure or a table."""
+        words = self.name.replace("_", " ")
+        return words if self.unit == "switch" else f"{words} [{self.unit}]"
+
+    @property
     def nominal(self) -> float:
         """The level at which nothing is wrong."""
         return 1.0 if self.unit == "factor" else 0.0

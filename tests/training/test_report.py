@@ -142,7 +142,7 @@ def test_halving_levels(study: Path) -> None:
     runs = load_study(study)
     (sweep,) = sweeps(runs, "link_mass", "mujoco", "anchor").values()
     assert sweep.levels.tolist() == [1, 2, 4]  # 1 is from the nominal evaluation
-    row = find(halvings(runs), plant="link mass, factor")
+    row = find(halvings(runs), plant="link mass [factor]")
     assert (row["halves above"], row["halves below"], row["swept"]) == ("3 [3, 3]", "-", "1 to 4")
 
 

@@ -10,9 +10,10 @@ from matplotlib.axes import Axes
 from matplotlib.ticker import FixedLocator, FuncFormatter, NullLocator
 from numpy.typing import NDArray
 
+from training.plants import AXES
 from training.study.cells import amount, who
 from training.study.figures import COLORS, legend, tidy
-from training.study.plants import AXES, sweeps
+from training.study.plants import sweeps
 from training.study.records import SPACES, Run, Setting, grouped
 from training.study.statistics import Sweep, wilson
 from training.study.tables import engines_of

@@ -3,41 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import numpy as np
 
 from cdcsr.errors import CdcsrError, unknown_choice
+from training.plants import AXES
 from training.study.records import Run
 from training.study.statistics import Sweep
-
-
-@dataclass(frozen=True)
-class Axis:
-    """A number of the plant."""
-
-    title: str
-    nominal: float = 1.0
-    """The level that was trained on; 1 for factors."""
-
-
-AXES = {
-    "link_mass": Axis("link mass, factor"),
-    "link_inertia": Axis("link inertia, factor"),
-    "base_mass": Axis("base mass, factor"),
-    "base_inertia": Axis("base inertia, factor"),
-    "joint_stiffness": Axis("joint stiffness, factor"),
-    "joint_damping": Axis("joint damping, factor"),
-    "servo_gain": Axis("servo gain, factor"),
-    "slider_damping": Axis("slider damping, factor"),
-    "cable_softness": Axis("cable softness, factor"),
-    "rest_length_offset": Axis("rest length, offset [m]", 0.0),
-    "command_delay": Axis("command delay [steps]", 0.0),
-    "observation_delay": Axis("observation delay [actions]", 0.0),
-    "time_step": Axis("time step, factor"),
-    "engine_defaults": Axis("engine's own defaults", 0.0),
-}
-"""By the names in the evaluation's files, in the order of tables."""
 
 
 def sweeps(runs: Sequence[Run], axis: str, engine: str, space: str) -> dict[str, Sweep]:
@@ -48,7 +20,7 @@ def sweeps(runs: Sequence[Run], axis: str, engine: str, space: str) -> dict[str,
 
     Args:
         runs: any.
-        axis: one of :data:`AXES`.
+        axis: one of :data:`training.plants.AXES`.
         engine: where they were tested.
         space: the space they were tested in.
 
@@ -77,7 +49,7 @@ def check_axes(runs: Sequence[Run]) -> None:
     """Refuse a sweep whose nominal level is not known.
 
     Raises:
-        CdcsrError: an axis is none of :data:`AXES`.
+        CdcsrError: an axis is none of :data:`training.plants.AXES`.
     """
     for run in runs:
         if "plants" in run.evaluations:

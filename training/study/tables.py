@@ -8,9 +8,10 @@ from typing import Literal
 
 import numpy as np
 
+from training.plants import AXES
 from training.study.cells import COST, TRAINED, Cell, Table, Value, amount, cost, measure, trained
 from training.study.paper import DISTURBANCES, TABLE_4
-from training.study.plants import AXES, sweeps
+from training.study.plants import sweeps
 from training.study.records import DEMONSTRATIONS, SPACES, Run, at_home, grouped
 from training.study.statistics import Sweep, disagreement, halving
 from training.style import ENGINES, algorithm_title, engine_title
