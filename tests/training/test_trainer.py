@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import csv
 import dataclasses
+import itertools
 import json
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -15,7 +17,7 @@ from cdcsr.errors import CdcsrError
 from controllers.commands import demonstrate
 from training.config import PRESETS, Train
 from training.policy import load_policy
-from training.trainer import train
+from training.trainer import Run, train
 
 _SMALL = dataclasses.replace(
     PRESETS["tuned"], hidden=(16, 16), batch_size=32, num_envs=4, updates=60, bc_updates=100, bc_rollouts=4
@@ -32,7 +34,7 @@ def demonstrations(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
-def _config(out: Path, demonstrations: Path, **options: object) -> Train:
+def _config(out: Path, demonstrations: Path | None, **options: object) -> Train:
     config = Train(
         out=out,
         demonstrations=demonstrations,
@@ -62,16 +64,41 @@ def test_a_run_leaves_policy_metrics_and_summary(tmp_path: Path, demonstrations:
     assert json.loads((tmp_path / "summary.json").read_text())["validation"]["episodes"] == 4
 
 
-@pytest.mark.parametrize(("algorithm", "randomize"), [("td3", 0.0), ("batd3", 0.0), ("td3", 1.0)])
+_EVERYTHING = dataclasses.replace(
+    _SMALL, hindsight=2, kept_share=0.25, keep_successes=True, clone_start=True, clone_anchor=1.0, noise_ladder=True,
+    updates_per_step=2, final_learning_rate=0.5, updates=120,
+)  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    ("algorithm", "options"),
+    [
+        ("td3", {}),
+        ("batd3", {}),
+        ("td3", {"randomize": 1.0}),
+        ("clasp", {"learner": _EVERYTHING}),
+        ("her", {"task": "capture-drift", "learner": dataclasses.replace(_SMALL, hindsight=1)}),
+    ],
+)
 def test_a_stopped_run_goes_on_to_the_same_bits(
-    tmp_path: Path, demonstrations: Path, algorithm: str, randomize: float
+    tmp_path: Path,
+    demonstrations: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    algorithm: str,
+    options: dict[str, Any],
 ) -> None:
-    whole = train(_config(tmp_path / "whole", demonstrations, algorithm=algorithm, randomize=randomize))
-    halves = _config(tmp_path / "halves", demonstrations, algorithm=algorithm, randomize=randomize, evaluate_every=30)
-    train(dataclasses.replace(halves, stop_after=0.0))
+    given = demonstrations
+    if "task" in options:  # those are of reaching
+        given, options = None, {**options, "num_demonstrations": 1}
+    whole = train(_config(tmp_path / "whole", given, algorithm=algorithm, **options))
+    halves = _config(tmp_path / "halves", given, algorithm=algorithm, **options, evaluate_every=1000)
+    with monkeypatch.context() as patch:  # half-way, in the middle of episodes
+        calls = itertools.count(1)
+        patch.setattr(Run, "_out_of_time", lambda run: next(calls) == run.config.learner.updates // 2)
+        assert train(halves).card.get("updates") is None
     assert (tmp_path / "halves" / "state.safetensors").exists()
     resumed = train(halves)
-    assert resumed.card["updates"] == whole.card["updates"] == 60
+    assert resumed.card["updates"] == whole.card["updates"] == halves.learner.updates
     a, b = (load_file(tmp_path / name / "policy.safetensors") for name in ("whole", "halves"))
     assert a.keys() == b.keys()
     for name in a:
