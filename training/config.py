@@ -127,8 +127,8 @@ OWN: dict[str, dict[PresetName, dict[str, Any]]] = {
         "paper": {"kept_share": 0.5, "layer_norm": True, "updates_per_step": 20, "policy_delay": 20},
         "tuned": {"kept_share": 0.5, "updates_per_step": 4},
     },
-    # The twin critics of TD3; the tuned preset has no larger ensemble to begin with.
-    "batd3-no-ensemble": {"paper": {"critics": 2}, "tuned": {"critics": 2}},
+    # Of five critics TD3's two are left, and of the tuned preset's two one.
+    "batd3-no-ensemble": {"paper": {"critics": 2}, "tuned": {"critics": 1, "target_critics": 1}},
     "clasp": {
         preset: {"clone_start": True, "clone_anchor": 0.7, "anchor_updates": 2_000} for preset in ("paper", "tuned")
     },
