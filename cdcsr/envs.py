@@ -104,7 +104,8 @@ class ReachVectorEnv(VectorEnv[Array, Array, NDArray[Any]]):
         return observation, {"is_success": distance <= self.task.threshold, "distance": distance}
 
     def step(self, actions: Array) -> tuple[Array, Array, Mask, Mask, dict[str, Any]]:
-        command = np.clip(self._channel.command(np.asarray(actions, dtype=np.float64)), -self._eta, 0)
+        command = self._channel.command(np.asarray(actions, dtype=np.float64))
+        command = np.minimum(np.maximum(command, -self._eta), 0)  # what np.clip does, in a third of its time
         self.simulation.step(command, self.frame_skip)
         self.actions_taken += 1
         state = self.simulation.state()

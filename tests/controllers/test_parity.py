@@ -227,8 +227,8 @@ def test_cables_hardly_stretch_along_demonstrations(name: str, engine: str) -> N
     robot = load_robot(name)
     route, commands = routing(robot), demonstrator_commands(robot, engine, episodes=2, seed=1)
     simulation, longest = ENGINES[engine](robot, 2), 0.0
-    for command in commands.values.swapaxes(0, 1):
-        simulation.step(command)
+    for each in commands.values.swapaxes(0, 1):
+        simulation.step(each)
         state = simulation.state()
         excess = cable_lengths(route, state.cable_travel, state.joint_angles) - route.rest_length
         longest = max(longest, excess.max())
