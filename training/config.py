@@ -8,7 +8,6 @@ from pathlib import Path
 from typing import Any, Literal
 
 from cdcsr.errors import CdcsrError
-from cdcsr.randomization import check_scale
 
 AlgorithmName = Literal[
     "bc", "td3", "her", "td3wd", "rbl", "rlpd", "drldr", "batd3", "batd3-no-bc", "batd3-no-prefill",
@@ -184,7 +183,10 @@ class Train:
 
     def __post_init__(self) -> None:
         learner = self.learner
-        check_scale(self.randomize)
+        if self.randomize:
+            from cdcsr.randomization import check_scale
+
+            check_scale(self.randomize)
         if not 1 <= learner.target_critics <= learner.critics:
             raise CdcsrError(
                 f"target_critics must be between 1 and critics ({learner.critics}), not {learner.target_critics}."
