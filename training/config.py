@@ -8,7 +8,6 @@ from pathlib import Path
 from typing import Any, Literal
 
 from cdcsr.errors import CdcsrError
-from cdcsr.randomization import check_scale
 
 AlgorithmName = Literal[
     "bc", "td3", "her", "td3wd", "rbl", "rlpd", "drldr", "batd3", "batd3-no-bc", "batd3-no-prefill",
@@ -183,6 +182,8 @@ class Train:
     learner: Learner = field(default_factory=lambda: PRESETS["tuned"])
 
     def __post_init__(self) -> None:
+        from cdcsr.randomization import check_scale  # it knows robots, which `cdcsr --help` need not wait for
+
         learner = self.learner
         check_scale(self.randomize)
         if not 1 <= learner.target_critics <= learner.critics:
@@ -191,6 +192,7 @@ class Train:
             )
         counts = {
             "num_demonstrations": self.num_demonstrations,
+            "evaluate_episodes": self.evaluate_episodes,
             "batch_size": learner.batch_size,
             "return_steps": learner.return_steps,
             "policy_delay": learner.policy_delay,
