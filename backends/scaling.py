@@ -28,7 +28,10 @@ def resized(robot: Robot, segments: int, links: int) -> Robot:
 def step_seconds(
     robot: Robot, backend: str, copies: int = 4, steps: int = 40, rounds: int = 5, read: bool = False
 ) -> float:
-    """Median processor time of a step of a copy, in [s], under gentle random commands; with `read`, of its state too."""
+    """Median processor time of one step of one copy, in [s], under gentle random commands.
+
+    With `read`, its state is read after each step, too.
+    """
     simulation = make_simulation(robot, backend, copies)
     commands = -0.2 * np.random.default_rng(0).random((steps, copies, robot.num_cables))
     simulation.step(commands[0])  # compiles
