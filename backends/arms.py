@@ -10,8 +10,8 @@ import pybullet
 
 from backends.peers import MissingPeer, Peer
 from backends.pybullet.loading import connect, load_robot_body
+from backends.scaling import step_seconds
 from cdcsr.robot import Robot
-from cdcsr.simulation import make_simulation
 
 SOFTROBOT_ARMS = {
     "TendonArmReach-v1": "gym-softrobot: Cosserat rod of 25 elements on a fixed base, 12 tendons whose tensions are"
@@ -61,7 +61,7 @@ def arms(robot: Robot, python: str, steps: int = 400, rounds: int = 5) -> list[A
     what = f"{robot.num_hinges} hinges and {robot.num_cables} cables on a free base, servo set-points commanded"
     rows = []
     for engine, title in (("mujoco", "ours, MuJoCo"), ("pybullet", "ours, PyBullet")):
-        seconds = _one_copy(robot, engine, steps, rounds)
+        seconds = step_seconds(robot, engine, 1, steps, rounds, read=True)
         rows.append(Arm(title, what, 1 / seconds, robot.time_step / seconds))
     seconds = _torque_arm(robot, steps, rounds)
     what = f"the same {robot.num_hinges} hinges on a free base without cables, joint torques commanded, tip read"
@@ -76,23 +76,6 @@ def arms(robot: Robot, python: str, steps: int = 400, rounds: int = 5) -> list[A
         else:
             rows.append(Arm(name, what, 1 / seconds, step / seconds))
     return rows
-
-
-def _one_copy(robot: Robot, engine: str, steps: int, rounds: int) -> float:
-    """Median time of a step and of reading the state, in [s]."""
-    simulation = make_simulation(robot, engine, 1)
-    commands = -0.2 * np.random.default_rng(0).random((steps, 1, robot.num_cables))
-    simulation.step(commands[0])  # compiles
-    times = []
-    for _ in range(rounds):
-        simulation.reset()
-        start = time.process_time()
-        for command in commands:
-            simulation.step(command)
-            simulation.state()
-        times.append(time.process_time() - start)
-    simulation.close()
-    return float(np.median(times)) / steps
 
 
 def _torque_arm(robot: Robot, steps: int, rounds: int) -> float:

@@ -5,7 +5,6 @@ from __future__ import annotations
 import io
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
 
 import matplotlib
 import numpy as np
@@ -15,25 +14,10 @@ from matplotlib.ticker import FixedLocator, FuncFormatter, LogLocator, NullLocat
 
 from backends.scaling import Growth
 from cdcsr.files import write_bytes
+from cdcsr.style import GRID_STYLE
 
 _COLORS = {"mujoco": "#1f5fa8", "pybullet": "#d9822b"}
-_OTHER, _INK, _SOFT = "#2f8f83", "#333333", "#999999"
-_STYLE: dict[Any, Any] = {
-    "font.size": 9.5,
-    "axes.titlesize": 10.0,
-    "axes.edgecolor": _SOFT,
-    "axes.labelcolor": _INK,
-    "axes.spines.right": False,
-    "axes.spines.top": False,
-    "axes.grid": True,
-    "axes.axisbelow": True,
-    "grid.color": "#e6e6e6",
-    "grid.linewidth": 0.7,
-    "xtick.color": _INK,
-    "ytick.color": _INK,
-    "text.color": _INK,
-    "legend.frameon": False,
-}
+_OTHER = "#2f8f83"
 
 
 def growth_picture(by_engine: Mapping[str, Growth], path: Path) -> None:
@@ -43,7 +27,7 @@ def growth_picture(by_engine: Mapping[str, Growth], path: Path) -> None:
         by_engine: measurements by the engine's name.
         path: the PNG to write.
     """
-    with matplotlib.rc_context(_STYLE):
+    with matplotlib.rc_context(GRID_STYLE):
         figure = Figure(figsize=(9.4, 4.2), layout="constrained")
         left, right = figure.subplots(1, 2, sharey=True)
         for engine, growth in by_engine.items():

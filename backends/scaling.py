@@ -25,17 +25,24 @@ def resized(robot: Robot, segments: int, links: int) -> Robot:
     return Robot.model_validate(data)
 
 
-def step_seconds(robot: Robot, backend: str, copies: int = 4, steps: int = 40, rounds: int = 5) -> float:
-    """Median processor time of one step of one copy, in [s], under gentle random commands."""
+def step_seconds(
+    robot: Robot, backend: str, copies: int = 4, steps: int = 40, rounds: int = 5, read: bool = False
+) -> float:
+    """Median processor time of one step of one copy, in [s], under gentle random commands.
+
+    With `read`, its state is read after each step, too.
+    """
     simulation = make_simulation(robot, backend, copies)
     commands = -0.2 * np.random.default_rng(0).random((steps, copies, robot.num_cables))
-    simulation.step(commands[0])
+    simulation.step(commands[0])  # compiles
     times = []
     for _ in range(rounds):
         simulation.reset()
         start = time.process_time()
         for command in commands:
             simulation.step(command)
+            if read:
+                simulation.state()
         times.append(time.process_time() - start)
     simulation.close()
     return float(np.median(times)) / (steps * copies)

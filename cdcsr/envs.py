@@ -25,7 +25,7 @@ from cdcsr.tasks import actions_per_episode, make_task
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
-EPISODE_STEPS = 250
+EPISODE_STEPS = Task.max_steps
 """Simulation steps a Reach episode may take (BATD3 paper, section V-A)."""
 _SNAPSHOT = ("time", "position", "velocity", "private")
 """The arrays of a snapshot that are always there."""

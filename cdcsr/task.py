@@ -57,6 +57,8 @@ class Task(ABC):
     """Time from one action to the next, in [s]; an environment puts its own here."""
 
     kind: ClassVar[str]
+    ends: ClassVar[bool] = True
+    """Success ends the episode."""
     remembers: ClassVar[tuple[str, ...]] = ()
     """Names of the counts in its memory."""
 

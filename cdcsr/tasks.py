@@ -77,6 +77,7 @@ class Follow(Task):
     share: float = 0.9
 
     kind: ClassVar[str] = "follow"
+    ends: ClassVar[bool] = False
     remembers: ClassVar[tuple[str, ...]] = ("actions", "settled_on_target", "since_contact", "on_target")
 
     def _count(self, on_target: Mask, memory: Memory) -> None:

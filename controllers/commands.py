@@ -76,6 +76,7 @@ def replay(
     *,
     backend: str = "all",
     robot: str = "paper",
+    frame_skip: int = 1,
     json: Path | None = None,
 ) -> None:
     """Replay recorded commands open-loop in each engine, and show how far the tips come apart.
@@ -84,6 +85,7 @@ def replay(
         dataset: a folder made by `cdcsr demonstrate`.
         backend: an engine, or all.
         robot: the robot of the dataset: a shipped one's name, or a path ending in .toml.
+        frame_skip: simulation steps each command was held for in it.
         json: also write the distances to this file.
     """
     from cdcsr.files import write_json
@@ -93,8 +95,8 @@ def replay(
     from controllers.replay import replay as run
 
     description = load_robot(robot)
-    episodes = demonstrations.load(dataset, description.fingerprint)
-    results = [run(description, name, episodes).as_dict() for name in chosen_backends(backend)]
+    episodes = demonstrations.load(dataset, description.fingerprint, frame_skip)
+    results = [run(description, name, episodes, frame_skip).as_dict() for name in chosen_backends(backend)]
     print(f"{len(episodes)} recorded episodes, replayed without feedback; distance of the tip from the recording:")
     for result in results:
         print(

@@ -173,8 +173,8 @@ def save(folder: Path, episodes: list[Episode], env: ReachVectorEnv, controller:
     storage.update_episodes(buffers)
 
 
-def load(folder: Path, robot_fingerprint: str, frame_skip: int = 1, task: str = "reach") -> list[Episode]:
-    """Read the episodes of a dataset written by :func:`save`.
+def load(folder: Path, robot_fingerprint: str, frame_skip: int = 1, task: str | None = None) -> list[Episode]:
+    """Read the episodes of a dataset written by :func:`save`; of any task, if none is given.
 
     Raises:
         CdcsrError: it is no such dataset, or of another robot, frame skip or task.
@@ -195,7 +195,7 @@ def load(folder: Path, robot_fingerprint: str, frame_skip: int = 1, task: str = 
         )
     if found[1] != frame_skip:
         raise CdcsrError(f"The demonstrations in {folder} have frame_skip {found[1]}, not {frame_skip}.")
-    if found[2] != task:
+    if task is not None and found[2] != task:
         raise CdcsrError(
             f"The demonstrations in {folder} are of the task {found[2]!r}, not {task!r}; record some with "
             f"`cdcsr demonstrate --task {task}`."

@@ -55,7 +55,7 @@ def transfer(
     *,
     backend: str = "all",
     space: str = "all",
-    task: str = "reach",
+    task: str | None = None,
     episodes: int = 100,
     seed: int | None = None,
     json: Path | None = None,
@@ -66,7 +66,7 @@ def transfer(
         policies: folders of policies or runs, names of shipped policies, or "jacobian" for the demonstrator.
         backend: an engine, or all.
         space: anchor, floating, spatter or workspace; or all, which is the first three.
-        task: what they are to do.
+        task: what they are to do; by default what all of them were trained for.
         episodes: in each cell, run as one batch.
         seed: of the targets; by default the one that nothing is tuned on.
         json: also write the results, each episode included, to this file.
@@ -81,7 +81,11 @@ def transfer(
     controllers = [find_controller(name, "paper") for name in policies]
     robots = [robot for c, robot in controllers if isinstance(c, Policy)] or [controllers[0][1]]
     spaces = list(SPACES) if space == "all" else [space]
-    _report([c for c, _ in controllers], robots[0], backend, spaces, episodes, seed, json, None, task)
+    learned = [c for c, _ in controllers if isinstance(c, Policy)]
+    tasks = [task] if task else sorted({policy.task for policy in learned}) or ["reach"]
+    if len(tasks) > 1:
+        raise CdcsrError(f"The policies were trained for different tasks ({', '.join(tasks)}); choose one with --task.")
+    _report([c for c, _ in controllers], robots[0], backend, spaces, episodes, seed, json, None, tasks[0])
 
 
 def demo(out: Path, minutes: float = 8.0, json: Path | None = None) -> None:
@@ -134,11 +138,13 @@ def _report(
 
     seed = TEST_SEED if seed is None else seed
     cells = measure(controllers, robot, backends, spaces, episodes, seed, disturbances, task, progress)
-    print(f"\n{episodes} episodes in each cell, target seed {seed}\n")
+    print(f"\n{task}: {episodes} episodes in each cell, target seed {seed}\n")
     print(format_table(cells))
     if json is not None:
         pairs = [pair.as_dict() for pair in disagreements(cells)]
-        write_json(json, {"seed": seed, "cells": [cell.as_dict() for cell in cells], "disagreements": pairs})
+        write_json(
+            json, {"task": task, "seed": seed, "cells": [cell.as_dict() for cell in cells], "disagreements": pairs}
+        )
 
 
 def _set_threads() -> None:

@@ -182,6 +182,8 @@ class Train:
     learner: Learner = field(default_factory=lambda: PRESETS["tuned"])
 
     def __post_init__(self) -> None:
+        from cdcsr.randomization import check_scale  # it knows robots, which `cdcsr --help` need not wait for
+
         learner = self.learner
         if self.randomize:
             from cdcsr.randomization import check_scale
@@ -193,6 +195,7 @@ class Train:
             )
         counts = {
             "num_demonstrations": self.num_demonstrations,
+            "evaluate_episodes": self.evaluate_episodes,
             "batch_size": learner.batch_size,
             "return_steps": learner.return_steps,
             "policy_delay": learner.policy_delay,

@@ -55,6 +55,8 @@ def experiments(
     if address is not None and executor != "ray":
         raise CdcsrError("--address is that of a Ray cluster; give --executor ray with it.")
     chosen = [*EXPERIMENTS] if not names or "all" in names else names
+    if jobs is not None and executor == "ray":
+        raise CdcsrError("--jobs is for this machine; a Ray cluster has as many runs side by side as processors.")
     amounts = BUDGETS[budget]
     wanted = [
         Job(spec, evaluations, amounts)
@@ -79,7 +81,7 @@ def experiments(
     else:
         from training.study.local import carry_out_here
 
-        outcome = carry_out_here(wanted, runs, results, jobs or os.cpu_count() or 1)
+        outcome = carry_out_here(wanted, runs, results, (os.cpu_count() or 1) if jobs is None else jobs)
     print(f"{len(outcome.finished)} runs finished, {len(outcome.skipped)} done before, {len(outcome.failed)} failed")
     if json is not None:
         write_json(json, {"experiments": chosen, "budget": budget, **vars(outcome)})

@@ -19,9 +19,10 @@ from numpy.typing import NDArray
 
 from cdcsr.errors import CdcsrError
 from cdcsr.robot import Robot
+from cdcsr.style import INK, SOFT
 from training.evaluation import Result
 from training.metrics import read_metrics
-from training.style import INK, PALE, RUN_COLORS, SOFT, algorithm_title, drawn, short_count
+from training.style import PALE, RUN_COLORS, algorithm_title, drawn, short_count
 
 Array = NDArray[np.float64]
 

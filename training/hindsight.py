@@ -16,7 +16,7 @@ def relabel(episode: FinishedEpisode, task: Task, rng: np.random.Generator) -> F
     """The episode with a target near where its tip was at a time drawn at random, up to where it succeeds.
 
     Args:
-        episode: of T actions, under the sparse reward.
+        episode: of T actions.
         task: says what success is; the target is at rest, whatever the task's does.
         rng: draws the time, and where in the ball of the threshold's radius around the tip the target is.
 
@@ -35,5 +35,5 @@ def relabel(episode: FinishedEpisode, task: Task, rng: np.random.Generator) -> F
     )  # fmt: skip
     if last is None:
         return None
-    rewards = np.eye(last)[-1]
-    return FinishedEpisode(with_target(rows[: last + 1], target), episode.actions[:last], rewards, True, True)
+    moved = with_target(rows[: last + 1], target)
+    return FinishedEpisode(moved, episode.actions[:last], task.episode_rewards(moved, True), True, task.ends)

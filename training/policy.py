@@ -95,11 +95,16 @@ class Policy(Controller):
                 "hidden": [layer.out_features for layer in actor.net if isinstance(layer, torch.nn.Linear)][:-1],
                 "activation": "tanh" if isinstance(actor.net[1], torch.nn.Tanh) else "relu",
             },
-            "versions": {name: version(name) for name in ("cdcsr", "torch", "mujoco", "pybullet", "numpy")},
+            "versions": versions(),
         }
         weights = {name: tensor.contiguous() for name, tensor in actor.state_dict().items()}
         write_bytes(folder / _WEIGHTS, save(weights))
         write_json(folder / _CARD, card)
+
+
+def versions() -> dict[str, str]:
+    """Those of the packages that decide what a policy does."""
+    return {name: version(name) for name in ("cdcsr", "torch", "mujoco", "pybullet", "numpy")}
 
 
 def load_policy(folder: Path) -> Policy:

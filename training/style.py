@@ -12,6 +12,7 @@ import matplotlib
 from matplotlib.figure import Figure
 
 from cdcsr.files import write_bytes
+from cdcsr.style import STYLE
 
 ALGORITHMS = {
     "bc": "BC",
@@ -32,21 +33,7 @@ ALGORITHMS = {
 ENGINES = {"mujoco": "MuJoCo", "pybullet": "PyBullet"}
 
 RUN_COLORS = ("#1f5fa8", "#d9822b", "#7b4fa3", "#2f8f83", "#a23b5c", "#6b6b6b", "#8a7a1f", "#4a9bd4")
-INK, SOFT, PALE = "#333333", "#999999", "#c9ccd1"
-_STYLE: dict[Any, Any] = {
-    "font.size": 10.0,
-    "axes.titlesize": 10.0,
-    "axes.edgecolor": SOFT,
-    "axes.labelcolor": INK,
-    "axes.spines.right": False,
-    "axes.spines.top": False,
-    "xtick.color": INK,
-    "ytick.color": INK,
-    "text.color": INK,
-    "legend.frameon": False,
-    "grid.color": "#e6e6e6",
-    "grid.linewidth": 0.7,
-}
+PALE = "#c9ccd1"
 _DPI = 160
 
 
@@ -77,7 +64,7 @@ def drawn(path: Path, size: tuple[float, float], layout: Any = None) -> Iterator
         size: width and height before margins are cut, in inches.
         layout: Matplotlib's layout engine, "constrained" for grids of panels.
     """
-    with matplotlib.rc_context(_STYLE):
+    with matplotlib.rc_context(STYLE):
         figure = Figure(figsize=size, layout=layout)
         yield figure
         data = io.BytesIO()

@@ -9,10 +9,10 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from cdcsr.envs import EPISODE_STEPS
 from cdcsr.errors import CdcsrError, Diverged
 from cdcsr.robot import Robot
-from cdcsr.tasks import Reach
+from cdcsr.task import Task
+from cdcsr.tasks import make_task
 from controllers.controller import Controller
 from training.evaluation import TEST_SEED, Result, evaluate
 from training.plants import Axis
@@ -44,6 +44,7 @@ class Point:
     """None where the engine could not simulate the plant: a copy diverged."""
     diverged: str = ""
     """What it said then."""
+    task: str = "reach"
 
     @property
     def rows(self) -> list[Row]:
@@ -75,6 +76,7 @@ def sweep(
     seed: int = TEST_SEED,
     nominal: Point | None = None,
     progress: Callable[[Point], None] | None = None,
+    task: str = "reach",
 ) -> list[Point]:
     """Measure a policy on plants that differ ever more along one axis, up and then down.
 
@@ -92,6 +94,7 @@ def sweep(
         seed: of the targets, the same at all levels.
         nominal: if it is measured already, as it is the same on all axes.
         progress: called with each point as it is done.
+        task: what it is to do.
 
     Returns:
         The points: nominal, outwards up, outwards down.
@@ -100,17 +103,17 @@ def sweep(
         CdcsrError: nothing succeeds on the nominal plant, or a level is none of this axis.
     """
     if nominal is None:
-        nominal = _measure(policy, robot, backend, space, axis, axis.nominal, episodes, seed)
+        nominal = _measure(policy, robot, backend, space, axis, axis.nominal, episodes, seed, task)
     else:
-        nominal = Point(backend, space, axis, axis.nominal, nominal.result)
+        nominal = Point(backend, space, axis, axis.nominal, nominal.result, task=task)
     if nominal.result is None or nominal.result.rate == 0:
-        raise CdcsrError(f"{policy.name!r} reaches no target in {backend}, {space}; there is nothing to lose.")
+        raise CdcsrError(f"{policy.name!r} has no success in {backend} ({task}, {space}); there is nothing to lose.")
     points = [nominal]
     if progress:
         progress(nominal)
     for direction in directions(axis, levels):
         for level in direction:
-            points.append(_measure(policy, robot, backend, space, axis, level, episodes, seed))
+            points.append(_measure(policy, robot, backend, space, axis, level, episodes, seed, task))
             if progress:
                 progress(points[-1])
             result = points[-1].result
@@ -127,7 +130,15 @@ def directions(axis: Axis, levels: Sequence[float] | None = None) -> list[list[f
 
 
 def _measure(
-    policy: Controller, robot: Robot, backend: str, space: str, axis: Axis, level: float, episodes: int, seed: int
+    policy: Controller,
+    robot: Robot,
+    backend: str,
+    space: str,
+    axis: Axis,
+    level: float,
+    episodes: int,
+    seed: int,
+    task: str,
 ) -> Point:
     learned = policy if isinstance(policy, Policy) else None
     try:
@@ -136,10 +147,11 @@ def _measure(
             centers=None if learned is None else learned.centers,
             frame_skip=1 if learned is None else learned.frame_skip,
             plant=axis.plant(robot, level),
+            task=task,
         )  # fmt: skip
     except Diverged as error:
-        return Point(backend, space, axis, level, None, str(error).partition(";")[0])
-    return Point(backend, space, axis, level, result)
+        return Point(backend, space, axis, level, None, str(error).partition(";")[0], task)
+    return Point(backend, space, axis, level, result, task=task)
 
 
 @dataclass(frozen=True)
@@ -214,17 +226,19 @@ class Difference:
             "target": good.targets[i].tolist(),
             "succeeds": {"backend": self.better.backend, "level": self.better.level, "length": length},
             "fails": {"backend": self.worse.backend, "level": self.worse.level, "distance": distance},
-            "reading": _reading(distance, length),
+            "reading": _reading(make_task(self.worse.task), distance, length),
         }
 
 
-def _reading(distance: float, length: int) -> str:
+def _reading(task: Task, distance: float, length: int) -> str:
     """Why an episode may have ended differently, from where one ended and how long the other took."""
-    threshold = Reach().threshold
+    threshold = task.threshold
+    if distance <= threshold:
+        return f"at the target, and not as {task.name} asks: ends {distance * 1e3:.0f} mm from it"
     if distance <= 2 * threshold:
         return f"near miss: ends {distance * 1e3:.0f} mm from the target, {threshold * 1e3:.0f} are allowed"
-    if length > 0.9 * EPISODE_STEPS:
-        return f"late: succeeds after {length} of {EPISODE_STEPS} steps"
+    if length > 0.9 * task.max_steps:
+        return f"late: succeeds after {length} of {task.max_steps} steps"
     return f"another path: ends {distance * 1e3:.0f} mm from the target"
 
 

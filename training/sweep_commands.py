@@ -11,6 +11,7 @@ def sweep(
     *,
     backend: str = "all",
     space: str | None = None,
+    task: str | None = None,
     axis: tuple[str, ...] = ("all",),
     episodes: int = 100,
     seed: int | None = None,
@@ -23,7 +24,8 @@ def sweep(
     Args:
         policy: folder of a policy or a run, name of a shipped policy, or "jacobian" for the demonstrator.
         backend: an engine, or all.
-        space: anchor, floating or spatter; by default the one the policy was trained in.
+        space: anchor, floating, spatter or workspace; by default the one the policy was trained in.
+        task: what it is to do; by default what it was trained for.
         axis: in what the plant is wrong: names of axes, or all.
         episodes: at each level, run as one batch.
         seed: of the targets; by default the one that nothing is tuned on.
@@ -35,7 +37,7 @@ def sweep(
 
     from cdcsr.files import write_json, write_text
     from cdcsr.simulation import chosen_backends
-    from training.commands import find_controller, trained_space
+    from training.commands import find_controller, trained_space, trained_task
     from training.evaluation import TEST_SEED
     from training.plants import find_axes
     from training.sweep import Point, Row, between_engines, between_plants, format_sweep, halvings
@@ -44,7 +46,8 @@ def sweep(
     torch.set_num_threads(1)
     axes, backends = find_axes(axis), chosen_backends(backend)
     controller, description = find_controller(policy, robot)
-    space, seed = space or trained_space(controller), TEST_SEED if seed is None else seed
+    space, task = space or trained_space(controller), task or trained_task(controller)
+    seed = TEST_SEED if seed is None else seed
 
     def progress(point: Point) -> None:
         told = point.diverged if point.result is None else f"{point.result.rate:.2f}"
@@ -55,12 +58,16 @@ def sweep(
     for each in axes:
         for engine in backends:
             line = measure(
-                controller, description, engine, space, each, None, episodes, seed, nominal.get(engine), progress
-            )
+                controller, description, engine, space, each, None, episodes, seed, nominal.get(engine), progress,
+                task,
+            )  # fmt: skip
             nominal[engine] = line[0]
             lines.append(line)
     points = [point for line in lines for point in line]
-    print(f"\n{controller.name} in {space}: {episodes} episodes at each level, target seed {seed}; nominal ", end="")
+    print(
+        f"\n{controller.name}, {task} in {space}: {episodes} episodes at each level, target seed {seed}; nominal ",
+        end="",
+    )
     print(", ".join(f"{engine} {p.result.rate:.2f}" for engine, p in nominal.items() if p.result is not None))
     print("\n" + format_sweep(points))
     apart = between_engines(list(nominal.values()))
@@ -76,6 +83,7 @@ def sweep(
             json,
             {
                 "policy": controller.name,
+                "task": task,
                 "space": space,
                 "seed": seed,
                 "episodes": episodes,

@@ -1,1 +1,1 @@
-"""MuJoCo: cables are spatial tendons with a length limit."""
+"""MuJoCo: cables are spatial tendons that may not exceed their rest length."""

@@ -5,7 +5,6 @@ from __future__ import annotations
 import io
 from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import Any
 
 import matplotlib
 import numpy as np
@@ -14,6 +13,7 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import FixedLocator, FuncFormatter, NullLocator, PercentFormatter
 
 from cdcsr.files import write_bytes
+from cdcsr.style import GRID_STYLE, SOFT
 from controllers.parity.one_step import QUANTITIES
 from controllers.parity.open_loop import DISTANCE, OpenLoop
 from controllers.parity.study import Parity
@@ -21,23 +21,7 @@ from controllers.parity.trajectories import DEMONSTRATOR
 
 _COLORS = ("#1f5fa8", "#d9822b", "#2f8f83", "#7b4fa3", "#a23b5c")
 _MARKERS = ("o", "D", "s", "^", "v")
-_INK, _SOFT, _RED = "#333333", "#999999", "#c0392b"
-_STYLE: dict[Any, Any] = {
-    "font.size": 9.5,
-    "axes.titlesize": 10.0,
-    "axes.edgecolor": _SOFT,
-    "axes.labelcolor": _INK,
-    "axes.spines.right": False,
-    "axes.spines.top": False,
-    "axes.grid": True,
-    "axes.axisbelow": True,
-    "grid.color": "#e6e6e6",
-    "grid.linewidth": 0.7,
-    "xtick.color": _INK,
-    "ytick.color": _INK,
-    "text.color": _INK,
-    "legend.frameon": False,
-}
+_RED = "#c0392b"
 _SMALLEST = 1e-12
 """Differences below this are drawn as this: zero has no place on a logarithmic scale."""
 
@@ -51,7 +35,7 @@ def draw(parity: Parity, folder: Path) -> list[Path]:
     }
     paths = []
     for name, paint in figures.items():
-        with matplotlib.rc_context(_STYLE):
+        with matplotlib.rc_context(GRID_STYLE):
             figure = Figure(figsize=(9.4, 5.8 if name == "one-step" else 4.2), layout="constrained")
             paint(figure, parity)
             data = io.BytesIO()
@@ -73,7 +57,7 @@ def _one_step(figure: Figure, parity: Parity) -> None:
             label = f"{part.pair}, {part.commands} ({len(values)} states)"
             axes.step(values, share, where="post", color=color, linewidth=1.6, label=label)
         size = max(float(np.percentile(part.sizes[quantity.name], 95)) for part in parity.one_step)
-        axes.axvline(size, color=_SOFT, linestyle=":", linewidth=1.4, label="the quantity itself, 95 %")
+        axes.axvline(size, color=SOFT, linestyle=":", linewidth=1.4, label="the quantity itself, 95 %")
         axes.set_xscale("log")
         axes.set_xlim(right=2 * size)
         axes.set_xlabel(f"{quantity.name} [{quantity.unit}]")
@@ -102,7 +86,7 @@ def _convergence(figure: Figure, parity: Parity) -> None:
             label = f"{engine} from {part.reference}"
             axes.plot(steps, apart, _MARKERS[i] + "--", color=_COLORS[i], markersize=4.5, linewidth=1.2, label=label)
         guide = 0.5e3 * part.errors(part.reference)[0] * part.time_steps / part.time_steps[0]
-        axes.plot(steps, guide, color=_SOFT, linestyle=":", linewidth=1.2, label="first order")
+        axes.plot(steps, guide, color=SOFT, linestyle=":", linewidth=1.2, label="first order")
         axes.set_xscale("log")
         axes.xaxis.set_major_locator(FixedLocator(steps.tolist()))
         axes.xaxis.set_minor_locator(NullLocator())
@@ -123,7 +107,7 @@ def _open_loop(figure: Figure, parity: Parity) -> None:
     for axes, part in zip(panels, parity.open_loop, strict=True):
         for i, engine in enumerate(list(part.tips)[1:], start=1):
             _band(axes, part, part.distance(engine)[0], _COLORS[i], f"{engine} from {part.reference}")
-        _band(axes, part, part.noise, _SOFT, f"{part.reference}, commands off by 1e-6 (noise floor)")
+        _band(axes, part, part.noise, SOFT, f"{part.reference}, commands off by 1e-6 (noise floor)")
         if part.commands == DEMONSTRATOR:
             axes.axhline(1e3 * DISTANCE, color=_RED, linestyle="--", linewidth=1.2, label="tolerance of the mean")
         axes.set_xlabel("time [s]")

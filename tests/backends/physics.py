@@ -13,6 +13,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from cdcsr.cables import cable_lengths, routing
+from cdcsr.parameters import Parameters
 from cdcsr.robot import Robot
 from cdcsr.simulation import Array, Simulation, Snapshot, make_simulation
 
@@ -123,3 +124,31 @@ def energy(robot: Robot, simulation: Simulation, command: Array) -> Array:
     gain = np.array([servo.gain for servo in robot.servos])
     springs = 0.5 * state.joint_angles**2 @ stiffness
     return kinetic + springs + 0.5 * (state.cable_travel - command) ** 2 @ gain
+
+
+def random_parameters(robot: Robot, num: int, seed: int = 0) -> Parameters:
+    """Every part of every copy of its own."""
+    random = np.random.default_rng(seed)
+
+    def factors(parts: int) -> Array:
+        return random.uniform(0.7, 1.4, (num, parts))
+
+    return Parameters(
+        base_mass=factors(1)[:, 0],
+        base_inertia=factors(1),
+        link_mass=factors(robot.num_links),
+        link_inertia=factors(robot.num_links),
+        joint_stiffness=factors(robot.num_links),
+        joint_damping=factors(robot.num_links),
+        slider_damping=factors(robot.num_cables),
+        servo_gain=factors(robot.num_cables),
+        rest_length_offset=random.uniform(-0.002, 0.002, (num, robot.num_cables)),
+    )
+
+
+def assert_same(found: Snapshot, expected: Snapshot, copies: Any = slice(None), atol: float = 0.0) -> None:
+    """Time, positions and velocities of some copies are the same."""
+    for name in ("time", "position", "velocity"):
+        np.testing.assert_allclose(
+            getattr(found, name)[copies], getattr(expected, name)[copies], rtol=0, atol=atol, err_msg=name
+        )

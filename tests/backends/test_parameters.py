@@ -3,20 +3,15 @@
 from __future__ import annotations
 
 import dataclasses
-from typing import Any
 
 import numpy as np
 import pytest
 
-from backends.mujoco.simulation import MujocoSimulation
 from backends.pybullet.dynamics import bias_force, chain, forward_kinematics, mass_matrix, own_chain
-from backends.pybullet.simulation import PybulletSimulation
-from cdcsr.delays import MAX_DELAY
-from cdcsr.errors import CdcsrError
 from cdcsr.parameters import Parameters
 from cdcsr.robot import Robot, load_robot, shipped_robots
 from cdcsr.simulation import Array, Simulation, Snapshot
-from physics import Make
+from physics import Make, assert_same, commands_of, random_parameters
 
 STEPS = 60
 
@@ -26,43 +21,9 @@ def paper() -> Robot:
     return load_robot("paper")
 
 
-def commands_of(robot: Robot, steps: int, num: int = 1, seed: int = 0) -> Array:
-    """Random set-points that jump every ten steps, shape (steps, num, C)."""
-    eta = np.array([servo.eta for servo in robot.servos])
-    draws = np.random.default_rng(seed).uniform(-1, 0, (-(-steps // 10), num, robot.num_cables)) * eta
-    return np.repeat(draws, 10, axis=0)[:steps]
-
-
-def random_parameters(robot: Robot, num: int, seed: int = 0) -> Parameters:
-    """Every part of every copy of its own."""
-    random = np.random.default_rng(seed)
-
-    def factors(parts: int) -> Array:
-        return random.uniform(0.7, 1.4, (num, parts))
-
-    return Parameters(
-        base_mass=factors(1)[:, 0],
-        base_inertia=factors(1),
-        link_mass=factors(robot.num_links),
-        link_inertia=factors(robot.num_links),
-        joint_stiffness=factors(robot.num_links),
-        joint_damping=factors(robot.num_links),
-        slider_damping=factors(robot.num_cables),
-        servo_gain=factors(robot.num_cables),
-        rest_length_offset=random.uniform(-0.002, 0.002, (num, robot.num_cables)),
-    )
-
-
 def snapshot_of(simulation: Simulation) -> Snapshot:
     """A snapshot in which `private` is what can be compared between engines: nothing."""
     return dataclasses.replace(simulation.get_snapshot(), private=np.zeros((simulation.num, 0)))
-
-
-def assert_same(found: Snapshot, expected: Snapshot, copies: Any = slice(None), atol: float = 0.0) -> None:
-    for name in ("time", "position", "velocity"):
-        np.testing.assert_allclose(
-            getattr(found, name)[copies], getattr(expected, name)[copies], rtol=0, atol=atol, err_msg=name
-        )
 
 
 # --- against descriptions ----------------------------------------------------------------------------------------
@@ -101,7 +62,7 @@ def written(robot: Robot, name: str) -> tuple[Robot, Array]:
 def test_a_parameter_is_as_if_written_into_the_description(make: Make, engine: str, paper: Robot, name: str) -> None:
     """Step by step and in the equation of motion; set in mid-motion, with neighbours that do not notice."""
     other, factors = written(paper, name)
-    commands = commands_of(paper, STEPS, 3)
+    commands = commands_of(paper, STEPS, 3, hold=10)
     copies, alike, apart = make(engine, paper, 3), make(engine, paper, 3), make(engine, other)
     for command in commands[:20]:
         copies.step(command)
@@ -144,7 +105,7 @@ def test_a_stretched_cable_is_one_whose_slider_begins_further_down(make: Make, e
     start = stretched.get_snapshot()
     start.position[:, 7 : 7 + paper.num_cables] -= stretch
     stretched.set_snapshot(dataclasses.replace(start, engine="by hand"))
-    for command in commands_of(paper, STEPS):
+    for command in commands_of(paper, STEPS, hold=10):
         stretched.step(command - stretch)
         rested.step(command)
         one, other = stretched.state(), rested.state()
@@ -183,7 +144,7 @@ def test_dynamics_is_current_in_both_engines(make: Make, name: str) -> None:
     """PyBullet's own functions, MuJoCo's and the compiled kernel's, after every change; PyBullet caches masses."""
     robot, num = load_robot(name), 3
     simulations = [make(engine, robot, num) for engine in ("mujoco", "pybullet")]
-    for command in commands_of(robot, 30, num):
+    for command in commands_of(robot, 30, num, hold=10):
         simulations[0].step(command)
     snapshot = snapshot_of(simulations[0])
     simulations[1].set_snapshot(snapshot)
@@ -251,119 +212,10 @@ def test_engines_move_alike_with_the_same_parameters(make: Make, paper: Robot) -
             simulation = make(engine, paper, 2)
             if differ:
                 simulation.set_parameters(None, parameters)
-            for command in commands_of(paper, STEPS, 2):
+            for command in commands_of(paper, STEPS, 2, hold=10):
                 simulation.step(command)
             tips[engine, differ] = simulation.state().tip_position
     apart = {d: np.linalg.norm(tips["mujoco", d] - tips["pybullet", d], axis=1).max() for d in (False, True)}
     moved = np.linalg.norm(tips["mujoco", True] - tips["mujoco", False], axis=1).min()
     assert apart[True] < 3 * apart[False] + 1e-3
     assert moved > 5 * apart[True]
-
-
-# --- life of the parameters --------------------------------------------------------------------------------------
-
-
-def test_reset_keeps_parameters_and_snapshots_continue(make: Make, engine: str, paper: Robot) -> None:
-    parameters = dataclasses.replace(random_parameters(paper, 2), command_delay=[0, 3])
-    commands = commands_of(paper, 40, 2)
-    first, second = make(engine, paper, 2), make(engine, paper, 2)
-    for simulation in (first, second):
-        simulation.set_parameters(None, parameters)
-        simulation.reset()
-    for command in commands:
-        first.step(command)
-    first.reset([1])
-    first.reset([0])
-    tolerance = 0.0 if engine == "mujoco" else 1e-10
-    for command in commands:
-        first.step(command)
-        second.step(command)
-    assert_same(first.get_snapshot(), second.get_snapshot(), atol=tolerance)
-    snapshot = first.get_snapshot()
-    for command in commands:
-        first.step(command)
-    second.reset()
-    second.set_snapshot(snapshot)
-    for command in commands:
-        second.step(command)
-    assert_same(first.get_snapshot(), second.get_snapshot(), atol=tolerance)
-
-
-def test_default_parameters_restore_the_first_bits(make: Make, engine: str, paper: Robot) -> None:
-    commands = commands_of(paper, 30, 2)
-    plain, back = make(engine, paper, 2), make(engine, paper, 2)
-    back.set_parameters(None, dataclasses.replace(random_parameters(paper, 2), command_delay=2))
-    back.set_parameters([0], Parameters())
-    back.set_parameters([1], Parameters())
-    for command in commands:
-        plain.step(command)
-        back.step(command)
-        assert_same(plain.get_snapshot(), back.get_snapshot())
-    assert back.get_snapshot().commands is None
-    for ours, theirs in zip(back.plant, plain.plant, strict=True):
-        np.testing.assert_array_equal(ours, theirs)
-
-
-def test_workers_and_threads_have_the_parameters_too(paper: Robot) -> None:
-    num = 5
-    parameters = dataclasses.replace(random_parameters(paper, 3), command_delay=[2, 0, 1])
-    pairs = [
-        (MujocoSimulation(paper, num, threads=1), MujocoSimulation(paper, num, threads=2)),
-        (PybulletSimulation(paper, num, workers=0), PybulletSimulation(paper, num, workers=2)),
-    ]
-    for pair in pairs:
-        for simulation in pair:
-            simulation.set_parameters([0, 2, 4], parameters)
-            for command in commands_of(paper, 20, num):
-                simulation.step(command, 2)
-        for field in dataclasses.fields(pair[0].state()):
-            np.testing.assert_array_equal(getattr(pair[0].state(), field.name), getattr(pair[1].state(), field.name))
-        np.testing.assert_array_equal(pair[0].dynamics([4]).mass_matrix, pair[1].dynamics([4]).mass_matrix)
-        for simulation in pair:
-            simulation.close()
-
-
-# --- mistakes ----------------------------------------------------------------------------------------------------
-
-
-@pytest.mark.parametrize(
-    ("bad", "message"),
-    [
-        ({"link_mass": np.ones(12)}, r"link_mass must be a number or have the shape \(2,\) or \(2, 12\), not \(12,\)"),
-        ({"link_mass": 0.0}, "link_mass must be positive; found 0"),
-        ({"servo_gain": [1.0, -1.0]}, "servo_gain must be positive; found -1"),
-        ({"joint_damping": -0.5}, "joint_damping must be zero or positive; found -0.5"),
-        ({"base_inertia": np.ones((2, 3))}, r"base_inertia must be a number or have the shape \(2,\) or \(2, 1\)"),
-        ({"joint_stiffness": np.nan}, "joint_stiffness must be finite"),
-        ({"base_mass": "heavy"}, "base_mass must be a number or an array of numbers"),
-        ({"rest_length_offset": -0.2}, "rest_length_offset must be above -0.2 m"),
-        ({"command_delay": 1.5}, "command_delay counts whole steps, from 0 to"),
-        ({"command_delay": -1}, "command_delay counts whole steps, from 0 to"),
-        ({"command_delay": MAX_DELAY + 1}, "command_delay counts whole steps, from 0 to"),
-        ({"command_delay": [1, 2, 3]}, r"command_delay must be a number or have the shape \(2,\), not \(3,\)"),
-    ],
-)
-def test_impossible_parameters_are_errors_and_change_nothing(
-    make: Make, paper: Robot, bad: dict[str, Any], message: str
-) -> None:
-    simulation = make("mujoco", paper, 3)
-    before = [part.copy() for part in simulation.plant]
-    with pytest.raises(CdcsrError, match=message):
-        simulation.set_parameters([0, 2], Parameters(**{"base_mass": 2.0} | bad))
-    for part, was in zip(simulation.plant, before, strict=True):
-        np.testing.assert_array_equal(part, was)
-
-
-def test_no_copies_at_all_is_no_mistake(make: Make, engine: str, paper: Robot) -> None:
-    simulation = make(engine, paper, 2)
-    before = simulation.get_snapshot()
-    simulation.set_parameters([], random_parameters(paper, 0))
-    simulation.set_parameters([], Parameters(command_delay=np.zeros(0, int)))
-    assert_same(simulation.get_snapshot(), before)
-
-
-def test_damping_and_stiffness_may_be_zero(make: Make, engine: str, paper: Robot) -> None:
-    simulation = make(engine, paper)
-    simulation.set_parameters(None, Parameters(joint_damping=0, joint_stiffness=0, slider_damping=0))
-    simulation.step(commands_of(paper, 1)[0])
-    assert not simulation.dynamics().passive_force.any()

@@ -12,7 +12,7 @@ from cdcsr.envs import ReachVectorEnv
 from cdcsr.errors import CdcsrError
 from cdcsr.robot import load_robot
 from cdcsr.spaces import demonstration_targets
-from controllers.commands import demonstrate
+from controllers.commands import demonstrate, replay
 from controllers.demonstrations import load, record
 from controllers.jacobian import JacobianController
 
@@ -47,6 +47,14 @@ def test_replaying_the_commands_gives_the_observations(folder: Path) -> None:
         observation, *_ = env.step(action[None])
         np.testing.assert_array_equal(observation[0], expected)
     assert observation[0, 9] <= 0.03
+
+
+def test_any_task_and_frame_skip_is_replayed(tmp_path: Path) -> None:
+    demonstrate(out=tmp_path / "quiet", episodes=1, seed=0, frame_skip=5, task="precise")
+    with pytest.raises(CdcsrError, match="have frame_skip 5, not 1"):
+        replay(tmp_path / "quiet", backend="mujoco")
+    replay(tmp_path / "quiet", backend="mujoco", frame_skip=5, json=tmp_path / "replay.json")
+    assert json.loads((tmp_path / "replay.json").read_text())[0]["largest_mm"] == 0
 
 
 def test_targets_are_those_of_the_seed(folder: Path) -> None:

@@ -20,6 +20,8 @@ from controllers.controller import Controller
 from controllers.jacobian import JacobianController
 from training import commands
 from training.evaluation import TEST_SEED, VALIDATION_SEED, Result, evaluate, wilson
+from training.networks import Actor
+from training.policy import Policy
 from training.transfer import Cell, disagreements, format_table
 
 Array = NDArray[np.float64]
@@ -105,6 +107,20 @@ def test_transfer_command_writes_every_cell(tmp_path: Path, capsys: pytest.Captu
     assert [(c["backend"], c["success_rate"]) for c in data["cells"]] == [("mujoco", 1.0), ("pybullet", 1.0)]
     assert data["disagreements"][0]["share"] == 0
     assert "| jacobian" in capsys.readouterr().out
+
+
+def test_transfer_is_at_the_task_of_the_policies(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    policies = {}
+    for task in ("precise", "quiet"):
+        robot = load_robot("paper")
+        card = {"name": task, "backend": "mujoco", "space": "anchor", "task": task, "frame_skip": 5}
+        policies[task] = Policy(Actor(robot, False, (4,), "relu"), robot, np.zeros((1, 3)), card)
+    monkeypatch.setattr(commands, "find_controller", lambda name, _: (policies[name], policies[name].robot))
+    out = tmp_path / "transfer.json"
+    commands.transfer(["precise"], backend="mujoco", episodes=1, space="anchor", json=out)
+    assert json.loads(out.read_text())["task"] == "precise"
+    with pytest.raises(CdcsrError, match=r"different tasks \(precise, quiet\); choose one with --task"):
+        commands.transfer(["precise", "quiet"], backend="mujoco", episodes=1)
 
 
 @pytest.mark.parametrize(

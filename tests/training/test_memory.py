@@ -85,6 +85,20 @@ def test_hindsight_against_brute_force(seed: int) -> None:
     np.testing.assert_array_equal(observations, before)
 
 
+def test_hindsight_pays_as_the_task_does() -> None:
+    """Following is paid for every action on target, and goes on until time is up."""
+    rng = np.random.default_rng(1)
+    observations = np.zeros((401, _SIZE))
+    observations[1:, 0] = 1 + rng.uniform(-0.001, 0.001, 400)  # there at once, and stays
+    episode = FinishedEpisode(observations, np.zeros((400, 4)), np.zeros(400), False, False)
+    other = relabel(episode, make_task("follow-line", motion="rest"), rng)
+    assert other is not None
+    assert (len(other.actions), other.terminated, other.success) == (400, False, True)
+    near = np.abs(np.linalg.norm(other.observations[1:, 0:3] - other.observations[0, 6:9], axis=1)) <= 0.03
+    assert near.mean() > 0.9
+    np.testing.assert_array_equal(other.rewards, near.astype(float))
+
+
 def test_hindsight_targets_lie_all_along_the_way() -> None:
     rng = np.random.default_rng(0)
     observations = np.zeros((201, _SIZE))

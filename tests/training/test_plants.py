@@ -23,6 +23,8 @@ from training import sweep as sweeps
 from training.evaluation import VALIDATION_SEED, Result, evaluate
 from training.plants import AXES, Axis, find_axes
 from training.policy import Policy, find_policy
+from training.study import evaluations
+from training.study.spec import SCRIPTED, RunSpec
 from training.sweep import Point, between_engines, differences, directions, format_sweep, halvings, sweep
 from training.sweep_commands import sweep as command
 
@@ -251,8 +253,22 @@ def test_offsets_are_interpolated_by_difference() -> None:
 
 def test_nothing_to_lose_is_an_error(monkeypatch: pytest.MonkeyPatch, paper: Robot) -> None:
     _scripted(monkeypatch, {1: 0.0})
-    with pytest.raises(CdcsrError, match="'clock' reaches no target in mujoco, anchor"):
-        sweep(Clock(), paper, "mujoco", "anchor", AXES["link_mass"])
+    with pytest.raises(CdcsrError, match=r"'clock' has no success in mujoco \(precise, anchor\)"):
+        sweep(Clock(), paper, "mujoco", "anchor", AXES["link_mass"], task="precise")
+
+
+def test_every_point_is_of_the_task(monkeypatch: pytest.MonkeyPatch, paper: Robot) -> None:
+    tasks: list[str] = []
+
+    def measured(*_: Any, task: str = "reach", **__: Any) -> Result:
+        tasks.append(task)
+        return _result([True])
+
+    for module in (sweeps, evaluations):
+        monkeypatch.setattr(module, "evaluate", measured)
+    subject = evaluations.Subject(RunSpec(SCRIPTED, task="capture", updates=0), Clock(), paper)
+    assert len(list(evaluations.plants(subject, 1))) > 2 * len(AXES)
+    assert set(tasks) == {"capture"}
 
 
 def test_differences_name_the_episode_and_a_reading() -> None:
@@ -265,6 +281,13 @@ def test_differences_name_the_episode_and_a_reading() -> None:
     assert found[1]["reading"].startswith("near miss: ends 50 mm")
     assert found[0]["target"] == [0, 1, 2]
     assert len(between_engines([first, second])) == 2
+    captured, missed = Point("mujoco", "anchor", axis, 2.0, _result([True], length=240), task="capture"), []
+    for distance in (0.02, 0.2):
+        other = Point("pybullet", "anchor", axis, 2.0, _result([False], distance), task="capture")
+        missed.append(differences(captured, other)[0].as_dict()["reading"])
+    # Near is not enough to capture, and 240 of 500 steps are not late.
+    assert missed[0] == "at the target, and not as capture asks: ends 20 mm from it"
+    assert missed[1] == "another path: ends 200 mm from the target"
 
 
 def test_the_table_tells_the_engines_gap_from_the_parameters() -> None:

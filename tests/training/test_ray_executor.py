@@ -12,17 +12,13 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from tiny import TINY_BUDGET, tiny_job
 
 from cdcsr.errors import CdcsrError
-from training.study.grid import Budget
 from training.study.jobs import Job
 from training.study.ray_executor import carry_out_on_ray
-from training.study.spec import RunSpec
 
-_TINY = (("batch_size", 32), ("bc_rollouts", 4), ("bc_updates", 100), ("hidden", (16, 16)), ("num_envs", 4))
-_JOB = Job(
-    RunSpec("td3", updates=400, demonstrations=1, switches=_TINY), ("nominal",), Budget("tiny", 1, 1, 1, 2, 50, 2)
-)
+_JOB = replace(tiny_job(400), budget=replace(TINY_BUDGET, evaluate_every=50))
 
 
 @pytest.fixture

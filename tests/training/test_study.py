@@ -1,44 +1,26 @@
-"""The study: its grid, its locks, and what survives when its processes are killed."""
+"""The study: its grid, its evaluations, and what of a job is still to be done."""
 
 from __future__ import annotations
 
-import csv
 import json
-import os
-import signal
-import subprocess
-import sys
-import threading
-import time
 from collections import Counter
-from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
 import pytest
+from tiny import TINY, TINY_BUDGET, tiny_job
 
 from cdcsr.cli import run
 from cdcsr.errors import CdcsrError
 from cdcsr.robot import load_robot
 from controllers.jacobian import JacobianController
 from training.experiments import experiments
-from training.study import evaluations, jobs, local
-from training.study.evaluations import EPISODE_COLUMNS, EVALUATIONS, FOLLOW_COLUMNS, Evaluation
+from training.study import evaluations, jobs
+from training.study.evaluations import EPISODE_COLUMNS, EVALUATIONS, Evaluation
 from training.study.follow import follow
 from training.study.grid import BUDGETS, EXPERIMENTS, Budget, collect, expected, summary
-from training.study.jobs import Job, environment
-from training.study.local import Outcome, carry_out_here
-from training.study.locks import STALE_AFTER, Busy, is_held, lock
+from training.study.jobs import Job
 from training.study.spec import SCRIPTED, RunSpec
-
-_TINY = (("batch_size", 32), ("bc_rollouts", 4), ("bc_updates", 100), ("hidden", (16, 16)), ("num_envs", 4))
-_BUDGET = Budget("tiny", 1, 60, 60, 2, 20, 2)
-
-
-def _job(updates: int = 60, evaluations: tuple[str, ...] = ("nominal",), **options: object) -> Job:
-    spec = replace(RunSpec("td3", updates=updates, demonstrations=1, switches=_TINY), **options)
-    return Job(spec, evaluations, _BUDGET)
-
 
 # -- the grid ----------------------------------------------------------------------------------------------------
 
@@ -58,9 +40,9 @@ def test_a_name_is_one_run_and_a_run_one_name() -> None:
 
 
 def test_a_run_is_read_back_as_it_was_written() -> None:
-    spec = RunSpec("batd3", seed=3, randomize=0.5, switches=_TINY)
+    spec = RunSpec("batd3", seed=3, randomize=0.5, switches=TINY)
     assert RunSpec.from_json(spec.to_json()) == spec
-    job = Job(spec, ("nominal", "follow"), _BUDGET)
+    job = Job(spec, ("nominal", "follow"), TINY_BUDGET)
     assert Job.from_json(job.to_json()) == job
     with pytest.raises(CdcsrError, match="not a run of the study"):
         RunSpec.from_json('{"algorithm": "bc", "colour": "red"}')
@@ -89,75 +71,6 @@ def test_every_experiment_is_said_and_has_each_seed(budget: Budget) -> None:
     assert both[f"batd3-tuned_spatter_mujoco_d10_u{budget.updates}_s0"][1] == ("nominal", "disturbances")
     seeds = [spec.seed for spec, _ in collect(list(EXPERIMENTS), budget).values()]
     assert seeds == sorted(seeds)
-
-
-# -- locks -------------------------------------------------------------------------------------------------------
-
-
-def test_a_lock_is_held_once_and_given_back(tmp_path: Path) -> None:
-    path = tmp_path / "run.lock"
-    with lock(path):
-        assert is_held(path)
-        with pytest.raises(Busy, match=f"live process {os.getpid()}"), lock(path):
-            pass
-        assert is_held(path)
-    assert list(tmp_path.iterdir()) == []
-
-
-def test_the_lock_of_a_killed_process_is_taken_over(tmp_path: Path) -> None:
-    path = tmp_path / "run.lock"
-    code = "import sys, time; from pathlib import Path; from training.study.locks import lock\n"
-    code += "with lock(Path(sys.argv[1])): print('held', flush=True); time.sleep(60)"
-    process = subprocess.Popen([sys.executable, "-c", code, str(path)], stdout=subprocess.PIPE)
-    assert process.stdout is not None
-    assert process.stdout.readline() == b"held\n"
-    with pytest.raises(Busy), lock(path):
-        pass
-    process.kill()
-    process.stdout.close()
-    # Also before its parent has asked how it ended.
-    deadline = time.monotonic() + 10
-    while is_held(path) and time.monotonic() < deadline:
-        time.sleep(0.01)
-    with lock(path):
-        assert is_held(path)
-    process.wait()
-    assert list(tmp_path.iterdir()) == []
-
-
-def test_a_holder_on_another_machine_is_believed_as_long_as_it_shows_life(tmp_path: Path) -> None:
-    path = tmp_path / "run.lock"
-    path.write_text(json.dumps({"pid": 1, "host": "elsewhere", "started": None, "token": "x"}))
-    with pytest.raises(Busy, match="on elsewhere"), lock(path):
-        pass
-    before = time.time() - STALE_AFTER - 5
-    os.utime(path, (before, before))
-    with lock(path):
-        assert "elsewhere" not in path.read_text()
-
-
-def test_a_dead_lock_is_taken_by_one_only(tmp_path: Path) -> None:
-    path, holders, most = tmp_path / "run.lock", list[int](), list[int]()
-    path.write_text(json.dumps({"pid": 2**22 + 1, "host": os.uname().nodename, "started": "0", "token": "x"}))
-    start = threading.Barrier(8)
-
-    def take(i: int) -> None:
-        start.wait()
-        try:
-            with lock(path):
-                holders.append(i)
-                most.append(len(holders))
-                time.sleep(0.2)
-                holders.remove(i)
-        except Busy:
-            pass
-
-    threads = [threading.Thread(target=take, args=(i,)) for i in range(8)]
-    for thread in threads:
-        thread.start()
-    for thread in threads:
-        thread.join()
-    assert most == [1]
 
 
 # -- evaluations -------------------------------------------------------------------------------------------------
@@ -205,7 +118,7 @@ def quick_evaluation(monkeypatch: pytest.MonkeyPatch) -> Counter[str]:
 
 def test_only_what_is_missing_is_done(tmp_path: Path, quick_evaluation: Counter[str]) -> None:
     runs, results = tmp_path / "runs", tmp_path / "results"
-    job = Job(RunSpec(SCRIPTED, updates=0), ("nominal",), _BUDGET)
+    job = Job(RunSpec(SCRIPTED, updates=0), ("nominal",), TINY_BUDGET)
     assert not job.is_done(results)
     jobs.carry_out(job, runs, results)
     jobs.carry_out(job, runs, results)
@@ -214,7 +127,7 @@ def test_only_what_is_missing_is_done(tmp_path: Path, quick_evaluation: Counter[
     assert more.missing(results) == ["disturbances"]
     jobs.carry_out(more, runs, results)
     assert quick_evaluation == {"jacobian nominal": 1, "jacobian disturbances": 1}
-    longer = replace(job, budget=replace(_BUDGET, episodes=3))
+    longer = replace(job, budget=replace(TINY_BUDGET, episodes=3))
     assert longer.missing(results) == ["nominal"]
     folder = results / job.name
     assert sorted(path.name for path in folder.iterdir()) == ["disturbances.csv", "nominal.csv", "run.json"]
@@ -226,7 +139,7 @@ def test_only_what_is_missing_is_done(tmp_path: Path, quick_evaluation: Counter[
 
 def test_a_record_that_is_missing_is_not_done(tmp_path: Path, quick_evaluation: Counter[str]) -> None:
     runs, results = tmp_path / "runs", tmp_path / "results"
-    job = Job(RunSpec(SCRIPTED, updates=0), ("nominal",), _BUDGET)
+    job = Job(RunSpec(SCRIPTED, updates=0), ("nominal",), TINY_BUDGET)
     jobs.carry_out(job, runs, results)
     (results / job.name / "run.json").unlink()
     (results / job.name / ".nominal.csv.0badcafe").write_text("half")
@@ -239,7 +152,10 @@ def test_a_record_that_is_missing_is_not_done(tmp_path: Path, quick_evaluation: 
 
 @pytest.mark.parametrize(
     ("job", "message"),
-    [(_job(algorithm="batd4"), "Unknown algorithm 'batd4'"), (_job(evaluations=("nominl",)), "Unknown evaluation")],
+    [
+        (tiny_job(algorithm="batd4"), "Unknown algorithm 'batd4'"),
+        (tiny_job(evaluations=("nominl",)), "Unknown evaluation"),
+    ],
 )
 def test_a_misspelt_name_is_said_before_the_work(tmp_path: Path, job: Job, message: str) -> None:
     with pytest.raises(CdcsrError, match=message):
@@ -266,6 +182,7 @@ def test_the_command_lists_and_refuses(tmp_path: Path, capsys: pytest.CaptureFix
     assert text.count("bc-tuned_") == 3
     assert command()[0] == 2
     assert "--executor ray" in command("table2", "--address", "here:1")[1]
+    assert "--jobs is for this machine" in command("table2", "--jobs", "2", "--executor", "ray")[1]
     code, text = command("tabel2")
     assert code == 2
     assert "Did you mean 'table2'" in text
@@ -277,128 +194,3 @@ def test_the_command_lists_and_refuses(tmp_path: Path, capsys: pytest.CaptureFix
     assert code == 2
     assert f"1 runs in {tmp_path / 'runs'} were begun and not finished, the first is {begun.name}" in text
     assert not (tmp_path / "results").exists()
-
-
-# -- processes, killed -------------------------------------------------------------------------------------------
-
-
-def _until(happens: Callable[[], bool], process: subprocess.Popen[bytes] | None = None, seconds: float = 300) -> None:
-    deadline = time.monotonic() + seconds
-    while not happens():
-        assert time.monotonic() < deadline
-        assert process is None or process.poll() is None
-        time.sleep(0.02)
-
-
-def _start(job: Job, folder: Path) -> subprocess.Popen[bytes]:
-    return subprocess.Popen(
-        job.command(folder / "runs", folder / "results"), stdin=subprocess.PIPE, stdout=subprocess.DEVNULL,
-        stderr=subprocess.DEVNULL, env=environment(),
-    )  # fmt: skip
-
-
-def _kill(process: subprocess.Popen[bytes]) -> None:
-    process.kill()
-    process.wait()
-    assert process.stdin is not None
-    process.stdin.close()
-
-
-@pytest.mark.slow
-def test_a_job_killed_in_training_and_in_evaluation_ends_as_if_it_had_not_been(tmp_path: Path) -> None:
-    job, whole = _job(120), tmp_path / "whole"
-    out, results = tmp_path / "runs" / job.name, tmp_path / "results" / job.name
-    process = _start(job, tmp_path)
-    _until((out / "state.safetensors").exists, process)
-    _kill(process)
-    assert job.is_begun(tmp_path / "runs")
-    assert not results.exists()
-    process = _start(job, tmp_path)
-    _until((results / "metrics.csv").exists, process)  # training is over; the evaluation has begun
-    _kill(process)
-    assert not (results / "run.json").exists()
-    trained = (out / "policy.safetensors").stat().st_mtime_ns
-    outcome = carry_out_here([job], tmp_path / "runs", tmp_path / "results", slots=1)
-    assert list(outcome.finished) == [job.name]
-    assert (out / "policy.safetensors").stat().st_mtime_ns == trained  # nothing was trained again
-    carry_out_here([job], whole / "runs", whole / "results", slots=1)
-    assert (results / "nominal.csv").read_text() == (whole / "results" / job.name / "nominal.csv").read_text()
-    with (results / "metrics.csv").open() as file:
-        assert [float(row["update"]) for row in csv.DictReader(file)] == [20, 40, 60, 80, 100, 120]
-    assert not list((tmp_path / "runs").glob("*.lock"))
-
-
-@pytest.mark.slow
-def test_two_jobs_side_by_side_and_one_that_fails(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    runs, results = tmp_path / "runs", tmp_path / "results"
-    good = _job(evaluations=("nominal", "follow"))
-    wanted = [_job(algorithm="batd4"), good, _job(algorithm="bc")]
-    outcome = carry_out_here(wanted, runs, results, slots=2)
-    assert set(outcome.finished) == {wanted[1].name, wanted[2].name}
-    assert "Unknown algorithm 'batd4'" in outcome.failed[wanted[0].name]
-    assert "[3/3]" in capsys.readouterr().out
-    again = carry_out_here(wanted[1:], runs, results, slots=2)
-    assert again.skipped == [wanted[1].name, wanted[2].name]
-    # The contract of the files.
-    folder = results / good.name
-    assert sorted(p.name for p in folder.iterdir()) == ["follow.csv", "metrics.csv", "nominal.csv", "run.json"]
-    record = json.loads((folder / "run.json").read_text())
-    assert set(record) == {
-        "spec", "minutes", "updates", "environment_steps", "versions", "robot", "fingerprint"
-    }  # fmt: skip
-    assert (record["updates"], record["environment_steps"]) == (60, 240)
-    assert record["spec"]["switches"]["hidden"] == [16, 16]
-    with (folder / "nominal.csv").open() as file:
-        rows = list(csv.DictReader(file))
-    assert tuple(rows[0]) == EPISODE_COLUMNS
-    cells = Counter((row["backend"], row["space"]) for row in rows)
-    assert set(cells.values()) == {2}
-    assert set(cells) == {(b, s) for b in ("mujoco", "pybullet") for s in ("anchor", "floating", "spatter")}
-    with (folder / "follow.csv").open() as file:
-        follows = list(csv.DictReader(file))
-    assert tuple(follows[0]) == FOLLOW_COLUMNS
-    assert len(follows) == 2 * 2 * 2 * 30
-
-
-@pytest.mark.slow
-def test_the_jobs_of_a_killed_executor_end_and_are_taken_over(tmp_path: Path) -> None:
-    job = _job(100_000)
-    code = (
-        "import sys; from pathlib import Path; from training.study.jobs import Job; "
-        "from training.study.local import carry_out_here; "
-        "carry_out_here([Job.from_json(sys.argv[1])], Path(sys.argv[2]), Path(sys.argv[3]), 1)"
-    )
-    runs, results = tmp_path / "runs", tmp_path / "results"
-    command = [sys.executable, "-c", code, job.to_json(), str(runs), str(results)]
-    executor = subprocess.Popen(command, stdout=subprocess.DEVNULL)
-    path = runs / f"{job.name}.lock"
-    _until((runs / job.name / "state.safetensors").exists, executor)
-    assert is_held(path)
-    executor.kill()
-    executor.wait()
-    _until(lambda: not is_held(path), seconds=20)  # its process is gone
-    assert path.exists()
-    # Ctrl-C: the executor ends its jobs before it ends.
-    executor = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
-    _until(lambda: is_held(path), executor)
-    executor.send_signal(signal.SIGINT)
-    executor.wait(30)
-    assert not path.exists()
-    assert job.is_begun(runs)
-
-
-@pytest.mark.slow
-def test_a_run_that_another_process_is_at_is_left_to_it(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(local, "RETRY_BUSY", 0.5)
-    job, runs, results = Job(RunSpec(SCRIPTED, updates=0), ("nominal",), _BUDGET), tmp_path / "runs", tmp_path / "out"
-    outcomes: list[Outcome] = []
-    executor = threading.Thread(target=lambda: outcomes.append(carry_out_here([job], runs, results, slots=1)))
-    log = runs / f"{job.name}.log"
-    with lock(runs / f"{job.name}.lock"):
-        executor.start()
-        _until(lambda: log.is_file() and "is held by the live process" in log.read_text())
-        assert executor.is_alive()
-        assert not results.exists()
-    executor.join()
-    assert list(outcomes[0].finished) == [job.name]
-    assert job.is_done(results)

@@ -1,4 +1,4 @@
-"""CLASP: clone-anchored learning from sparse rewards, with hindsight; BATD3 taken further."""
+"""CLASP: clone-anchored learning from sparse rewards; BATD3 taken further."""
 
 from __future__ import annotations
 
@@ -13,9 +13,8 @@ class CLASP(BATD3):
     """The actor begins as a clone of the demonstrator and is let go of as the critics learn to judge it.
 
     On top of BATD3: the actor starts from behaviour cloning (`clone_start`) and its loss holds w |pi(s) - a_BC(s)|^2,
-    w falling linearly from `clone_anchor` to zero, against values divided by their mean magnitude (as TD3+BC,
-    Fujimoto and Gu 2021, whose regularization never ends); collected episodes are also stored with a target that
-    they did reach (`hindsight`).
+    w falling linearly from `clone_anchor` to zero. With `scaled_values`, which its presets leave off, that is against
+    values divided by their mean magnitude, as in TD3+BC (Fujimoto and Gu 2021), whose regularization never ends.
     """
 
     def policy_loss(self, encoded: Tensor, action: Tensor, batch: Batch) -> Tensor:

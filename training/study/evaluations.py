@@ -125,11 +125,12 @@ def plants(subject: Subject, episodes: int) -> Iterator[Row]:
     for backend in BACKENDS:
         nominal = evaluate(subject.controller, subject.robot, backend, space, episodes, **subject.options)
         for axis in AXES.values():
-            points = [Point(backend, space, axis, axis.nominal, nominal)]
+            points = [Point(backend, space, axis, axis.nominal, nominal, task=subject.spec.task)]
             if nominal.success.any():  # else there is nothing to lose
                 points = sweep(
-                    subject.controller, subject.robot, backend, space, axis, episodes=episodes, nominal=points[0]
-                )
+                    subject.controller, subject.robot, backend, space, axis,
+                    episodes=episodes, nominal=points[0], task=subject.spec.task,
+                )  # fmt: skip
             for point in points:
                 if point.result is not None:  # the engine could simulate that plant
                     yield from episode_rows(backend, space, axis.name, point.level, point.result)

@@ -13,18 +13,20 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import PercentFormatter
 from numpy.typing import NDArray
 
+from cdcsr.style import INK, SOFT
 from training.study.cells import amount, measure, who
+from training.study.grid import ABLATIONS, OURS
 from training.study.records import JACOBIAN, SPACES, Run, Setting, grouped
 from training.study.statistics import band
-from training.study.tables import ABLATIONS, COUNTED, OURS, counted, variants
-from training.style import INK, RUN_COLORS, SOFT, algorithm_title, drawn, engine_title, short_count
+from training.study.tables import COUNTED, counted, variants
+from training.style import RUN_COLORS, algorithm_title, drawn, engine_title, short_count
 
 Array = NDArray[np.float64]
 
 COLORS = dict(
     zip(("batd3", OURS, "td3wd", "rlpd", "rbl", "bc", "td3", "her"), RUN_COLORS, strict=True),
     drldr=INK,
-    jacobian="#5aa02c",
+    **{JACOBIAN: "#5aa02c"},
     **dict(zip(ABLATIONS[1:], RUN_COLORS[1:], strict=False)),
 )
 """Of algorithms, the same in all figures in which they stand side by side."""

@@ -47,6 +47,7 @@ BACKENDS = ("mujoco", "pybullet")
 METHODS = ("batd3", "bc", "clasp", "td3wd", "rlpd", "rbl", "drldr", "td3", "her")
 """All of them, those that are compared most first."""
 OURS = "clasp"
+"""The name of our own method."""
 OURS_SWITCHES: tuple[tuple[tuple[str, Any], ...], ...] = (
     (("clone_start", False),),
     (("clone_anchor", 0.0),),

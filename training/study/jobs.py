@@ -163,15 +163,14 @@ def _sweep(folder: Path) -> None:
 
 
 def _record(job: Job, subject: Any, card: dict[str, Any]) -> dict[str, Any]:
-    from importlib.metadata import version
+    from training.policy import versions
 
-    packages = ("cdcsr", "torch", "mujoco", "pybullet", "numpy")
     return {
         "spec": {**job.spec.as_dict(), "budget": job.budget.name},
         "minutes": card.get("minutes", 0.0),
         "updates": card.get("updates", 0),
         "environment_steps": card.get("environment_steps", 0),
-        "versions": card.get("versions") or {name: version(name) for name in packages},
+        "versions": card.get("versions") or versions(),
         "robot": subject.robot.name,
         "fingerprint": subject.robot.fingerprint,
     }

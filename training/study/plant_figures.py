@@ -10,6 +10,7 @@ from matplotlib.axes import Axes
 from matplotlib.ticker import FixedLocator, FuncFormatter, NullLocator
 from numpy.typing import NDArray
 
+from cdcsr.style import SOFT
 from training.plants import AXES
 from training.study.cells import amount, who
 from training.study.figures import COLORS, legend, tidy
@@ -17,7 +18,7 @@ from training.study.plants import sweeps
 from training.study.records import SPACES, Run, Setting, grouped
 from training.study.statistics import Sweep, wilson
 from training.study.tables import engines_of
-from training.style import SOFT, drawn, engine_title
+from training.style import drawn, engine_title
 
 Array = NDArray[np.float64]
 

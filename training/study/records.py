@@ -14,11 +14,12 @@ from numpy.typing import NDArray
 
 from cdcsr.errors import CdcsrError
 from training.metrics import read_metrics
+from training.study.spec import SCRIPTED
 from training.style import ALGORITHMS
 
 Array = NDArray[np.float64]
 
-JACOBIAN = "jacobian"
+JACOBIAN = SCRIPTED
 """The scripted demonstrator: one run of it stands for every space."""
 SPACES = {"anchor": "Anchor", "floating": "Floating", "spatter": "Spatter"}
 """The paper's spaces, and their titles."""

@@ -5,10 +5,10 @@ from __future__ import annotations
 import json
 from dataclasses import dataclass, fields, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 from cdcsr.errors import CdcsrError, unknown_choice
-from training.config import PRESETS, Learner, PresetName, Train, learner_for
+from training.config import PRESETS, AlgorithmName, Learner, PresetName, Train, learner_for
 
 SCRIPTED = "jacobian"
 """The algorithm of a run that trains nothing: the scripted demonstrator."""
@@ -68,22 +68,17 @@ class RunSpec:
     def train(self, out: Path) -> Train:
         """The training run, in the folder `out`."""
         learner = replace(learner_for(self.algorithm, self.preset), updates=self.updates, **dict(self.switches))
-        # Given only where they are not the default.
-        options: dict[str, Any] = {}
-        if self.task != "reach":
-            options["task"] = self.task
-        if self.randomize:
-            options["randomize"] = self.randomize
-        options["algorithm"] = self.algorithm
         return Train(
             out,
+            algorithm=cast(AlgorithmName, self.algorithm),  # a job refuses what is none
             preset=self.preset,
             backend=self.backend,
             space=self.space,
+            task=self.task,
+            randomize=self.randomize,
             num_demonstrations=self.demonstrations,
             seed=self.seed,
             learner=learner,
-            **options,
         )
 
     def as_dict(self) -> dict[str, Any]:

@@ -10,20 +10,18 @@ import numpy as np
 
 from training.plants import AXES
 from training.study.cells import COST, TRAINED, Cell, Table, Value, amount, cost, measure, trained
+from training.study.grid import ABLATIONS, COUNTS, OURS
 from training.study.paper import DISTURBANCES, TABLE_4
 from training.study.plants import sweeps
-from training.study.records import DEMONSTRATIONS, SPACES, Run, at_home, grouped
+from training.study.records import DEMONSTRATIONS, JACOBIAN, SPACES, Run, at_home, grouped
 from training.study.statistics import Sweep, disagreement, halving
 from training.style import ENGINES, algorithm_title, engine_title
 
-OURS = "clasp"
-"""The name of our own method."""
-COMPARED = ("bc", "batd3", OURS, "td3wd", "rbl", "td3", "her", "rlpd", "drldr", "jacobian")
+COMPARED = ("bc", "batd3", OURS, "td3wd", "rbl", "td3", "her", "rlpd", "drldr", JACOBIAN)
 """Rows of Table II, run or not."""
-ABLATIONS = ("batd3", "batd3-no-bc", "batd3-no-prefill", "batd3-no-ensemble")
 COUNTED = ("batd3", OURS, "td3wd", "bc")
 """Algorithms whose number of demonstrations varies."""
-COUNTS = (3, 5, 10, 20)
+ALL_COUNTS = tuple(sorted((*COUNTS, DEMONSTRATIONS)))
 SIDES: tuple[Literal["below", "above"], ...] = ("below", "above")
 _RESULT = ("κ", "IQM of κ", "l_epi")
 
@@ -66,7 +64,7 @@ def demonstrations(runs: Sequence[Run]) -> Table:
         rows.append([setting.demonstrations, *trained(setting), *_result(group, space="anchor"), *cost(group)])
     have = {(run.setting.algorithm, run.setting.demonstrations) for run in chosen}
     for algorithm in COUNTED:
-        rows += [[count, *_nobody(algorithm)] for count in COUNTS if (algorithm, count) not in have]
+        rows += [[count, *_nobody(algorithm)] for count in ALL_COUNTS if (algorithm, count) not in have]
     head = ("demonstrations", *TRAINED, *_RESULT, *COST)
     return Table("demonstrations", "Fig. 5 in numbers: demonstrations, Anchor Space", basis(chosen), head, rows)
 
@@ -83,7 +81,7 @@ def counted(runs: Iterable[Run]) -> list[Run]:
 
 def generalization(runs: Sequence[Run]) -> Table:
     """Table III: trained in one space, tested in another, in the engine of training."""
-    chosen = [run for run in runs if run.setting.plain and run.setting.algorithm != "jacobian"]
+    chosen = [run for run in runs if run.setting.plain and run.setting.algorithm != JACOBIAN]
     rows: list[list[Value]] = []
     for setting, group in grouped(chosen).items():
         rows.append([

@@ -1,0 +1,19 @@
+"""A job of the study that takes seconds."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+from training.study.grid import Budget
+from training.study.jobs import Job
+from training.study.spec import RunSpec
+
+TINY = (("batch_size", 32), ("bc_rollouts", 4), ("bc_updates", 100), ("hidden", (16, 16)), ("num_envs", 4))
+"""What is switched in its learner."""
+TINY_BUDGET = Budget("tiny", 1, 60, 60, 2, 20, 2)
+
+
+def tiny_job(updates: int = 60, evaluations: tuple[str, ...] = ("nominal",), **options: object) -> Job:
+    """Of TD3, unless the options, fields of its :class:`RunSpec`, say something else."""
+    spec = replace(RunSpec("td3", updates=updates, demonstrations=1, switches=TINY), **options)
+    return Job(spec, evaluations, TINY_BUDGET)
