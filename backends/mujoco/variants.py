@@ -19,7 +19,7 @@ Array = NDArray[np.float64]
 Change = Callable[[mujoco.MjSpec], None]
 
 FAITHFUL = 0.1
-"""A choice is faithful if it moves the tip by no more than this over an episode, in [mm]; a target is 20 mm wide."""
+"""A choice is faithful if it moves the tip by no more than this over an episode, in [mm]; a target is 60 mm wide."""
 _JACOBIAN, _INTEGRATOR, _SOLVER = mujoco.mjtJacobian, mujoco.mjtIntegrator, mujoco.mjtSolver
 
 

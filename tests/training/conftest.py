@@ -1,14 +1,17 @@
-"""Tiny learners and batches."""
+"""Tiny learners, batches and datasets."""
 
 from __future__ import annotations
 
 import dataclasses
 from collections.abc import Callable
+from pathlib import Path
 
 import pytest
 import torch
+from tiny import FRAME_SKIP
 
 from cdcsr.robot import Robot, load_robot
+from controllers.commands import demonstrate
 from training.algorithms import TD3
 from training.config import Learner
 from training.replay import Batch
@@ -34,6 +37,14 @@ def small_batch(small_robot: Robot) -> Batch:
         uniform(_SIZE, size), uniform(_SIZE, cables), torch.rand(_SIZE, generator=generator),
         torch.tensor([0.9, 0.0, 0.81, 0.9]), uniform(_SIZE, size), uniform(_SIZE, cables), uniform(_SIZE, cables),
     )  # fmt: skip
+
+
+@pytest.fixture(scope="session")
+def demonstrations(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A dataset of three episodes of reaching."""
+    folder = tmp_path_factory.mktemp("data") / "demonstrations"
+    demonstrate(out=folder, episodes=3, frame_skip=FRAME_SKIP)
+    return folder
 
 
 @pytest.fixture

@@ -6,6 +6,7 @@ import dataclasses
 
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 
 from cdcsr.robot import load_robot
 from cdcsr.tasks import make_task
@@ -26,9 +27,13 @@ def _episode(length: int, mark: float, success: bool = True) -> FinishedEpisode:
     )
 
 
+def _clone(observations: NDArray[np.float64]) -> NDArray[np.float32]:
+    return (observations[:, : _ROBOT.num_cables] + 1).astype(np.float32)
+
+
 def _memory(**numbers: object) -> Memory:
     learner = dataclasses.replace(Learner(batch_size=40, capacity=1000), **numbers)  # type: ignore[arg-type]
-    return Memory(_ROBOT, learner, lambda observations: np.float32(observations[:, : _ROBOT.num_cables] + 1), _TASK)
+    return Memory(_ROBOT, learner, _clone, _TASK)
 
 
 def test_kept_episodes_have_their_share_of_every_batch() -> None:

@@ -12,9 +12,9 @@ from typing import Any
 import numpy as np
 import pytest
 from safetensors.torch import load_file
+from tiny import FRAME_SKIP
 
 from cdcsr.errors import CdcsrError
-from controllers.commands import demonstrate
 from training.config import PRESETS, Train
 from training.policy import load_policy
 from training.trainer import Run, train
@@ -23,23 +23,13 @@ _SMALL = dataclasses.replace(
     PRESETS["tuned"], hidden=(16, 16), batch_size=32, num_envs=4, updates=60, bc_updates=100, bc_rollouts=4
 )
 
-_SKIP = 10
-"""Episodes of 25 actions, so that some end within a short run."""
-
-
-@pytest.fixture(scope="module")
-def demonstrations(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    folder = tmp_path_factory.mktemp("data") / "demonstrations"
-    demonstrate(out=folder, episodes=3, frame_skip=_SKIP)
-    return folder
-
 
 def _config(out: Path, demonstrations: Path | None, **options: object) -> Train:
     config = Train(
         out=out,
         demonstrations=demonstrations,
         space="spatter",
-        frame_skip=_SKIP,
+        frame_skip=FRAME_SKIP,
         evaluate_every=20,
         evaluate_episodes=4,
         learner=_SMALL,
@@ -115,6 +105,16 @@ def test_a_run_with_other_options_is_refused_and_kept(tmp_path: Path, demonstrat
     assert (out / "policy.safetensors").read_bytes() == before
 
 
+@pytest.mark.parametrize(
+    "other",
+    [{"task": "capture"}, {"randomize": 1.0}, {"num_demonstrations": 5}, {"space": "anchor"}, {"frame_skip": 2}],
+)
+def test_a_run_is_another_with_any_option_that_matters(other: dict[str, Any]) -> None:
+    config = _config(Path("run"), None)
+    assert dataclasses.replace(config, **other).identity() != config.identity()
+    assert dataclasses.replace(config, out=Path("x"), stop_after=1.0, force=True).identity() == config.identity()
+
+
 def test_a_folder_that_is_no_run_is_refused(tmp_path: Path, demonstrations: Path) -> None:
     (tmp_path / "thesis.tex").write_text("do not lose me")
     with pytest.raises(CdcsrError, match="not a training run"):
@@ -131,7 +131,7 @@ def test_a_damaged_state_is_one_clear_line(tmp_path: Path, demonstrations: Path)
         train(config)
 
 
-@pytest.mark.parametrize("misspelt", [{"backend": "mujco"}, {"space": "anker"}, {"robot": "papre"}])
+@pytest.mark.parametrize("misspelt", [{"backend": "mujco"}, {"space": "anker"}, {"robot": "papre"}, {"task": "captur"}])
 def test_a_misspelt_name_leaves_no_folder(tmp_path: Path, demonstrations: Path, misspelt: dict[str, str]) -> None:
     with pytest.raises(CdcsrError, match="Unknown"):
         train(_config(tmp_path / "run", demonstrations, **misspelt))

@@ -12,9 +12,9 @@ import numpy as np
 import pytest
 import torch
 from safetensors import safe_open
+from tiny import FRAME_SKIP
 
 from cdcsr.robot import Robot, load_robot
-from controllers.commands import demonstrate
 from controllers.demonstrations import load
 from training.algorithms import ALGORITHMS, BATD3, CLASP, DRLDR, RBL, TD3, BehaviourCloning
 from training.algorithms.batd3 import WithoutAssistance
@@ -117,16 +117,6 @@ def test_imitation_is_the_same_for_clone_and_actor(small_robot: Robot) -> None:
     assert ((other.command(observations) - commands) ** 2).mean() < before
 
 
-_SKIP = 10
-
-
-@pytest.fixture(scope="module")
-def demonstrations(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    folder = tmp_path_factory.mktemp("data") / "demonstrations"
-    demonstrate(out=folder, episodes=3, frame_skip=_SKIP)
-    return folder
-
-
 @pytest.mark.parametrize("algorithm", list(ALGORITHMS))
 def test_what_each_begins_with(tmp_path: Path, demonstrations: Path, algorithm: str) -> None:
     """Rows of the replay buffers after one update, before any episode has ended."""
@@ -135,13 +125,13 @@ def test_what_each_begins_with(tmp_path: Path, demonstrations: Path, algorithm: 
         hidden=(16, 16), batch_size=4, num_envs=2, updates=2, bc_updates=400, bc_rollouts=6,
     )  # fmt: skip
     config = Train(
-        tmp_path / "run", cast(AlgorithmName, algorithm), space="anchor", frame_skip=_SKIP,
+        tmp_path / "run", cast(AlgorithmName, algorithm), space="anchor", frame_skip=FRAME_SKIP,
         demonstrations=demonstrations, evaluate_every=0, evaluate_episodes=1, stop_after=0.0, learner=small,
     )  # fmt: skip
     train(config)
     with safe_open(tmp_path / "run" / "state.safetensors", framework="pt") as file:
         sizes = {name: size for name, (_, size) in json.loads(file.metadata()["run"])["replays"].items()}
-    shown = sum(episode.length + 1 for episode in load(demonstrations, load_robot("paper").fingerprint, _SKIP))
+    shown = sum(episode.length + 1 for episode in load(demonstrations, load_robot("paper").fingerprint, FRAME_SKIP))
     if algorithm in ("td3", "her", "drldr", "batd3-no-prefill"):
         assert sizes == {"replay": 0}
     elif algorithm in ("td3wd", "rbl"):

@@ -1,4 +1,4 @@
-"""A job of the study that takes seconds."""
+"""What makes runs, and jobs of the study, take seconds."""
 
 from __future__ import annotations
 
@@ -8,8 +8,10 @@ from training.study.grid import Budget
 from training.study.jobs import Job
 from training.study.spec import RunSpec
 
+FRAME_SKIP = 10
+"""Episodes of 25 actions, so that some end within a short run."""
 TINY = (("batch_size", 32), ("bc_rollouts", 4), ("bc_updates", 100), ("hidden", (16, 16)), ("num_envs", 4))
-"""What is switched in its learner."""
+"""What is switched in a job's learner."""
 TINY_BUDGET = Budget("tiny", 1, 60, 60, 2, 20, 2)
 
 
