@@ -15,6 +15,7 @@ from torch import Tensor
 from tqdm import tqdm
 
 from cdcsr.envs import ReachVectorEnv
+from cdcsr.errors import CdcsrError
 from cdcsr.files import write_json
 from cdcsr.randomization import Randomization
 from cdcsr.robot import Robot, load_robot
@@ -64,7 +65,11 @@ class Run:
         # What is misspelt or does not fit must not leave a folder behind.
         load_backend(config.backend)
         make_space(config.space, self.robot)
-        make_task(config.task)
+        if config.learner.clip_targets and not make_task(config.task).ends:
+            raise CdcsrError(
+                f"clip_targets holds values to [0, 1], which is right only where success ends an episode, and "
+                f"{config.task!r} pays for every action on target; give --learner.no-clip-targets."
+            )
         self.reward: Reward = "sparse" if config.algorithm == "bc" else ALGORITHMS[config.algorithm].reward
         self.episodes = self._demonstrations()
         claim_folder(self.folder, {**config.identity(), "fingerprint": self.robot.fingerprint}, config.force)

@@ -161,3 +161,9 @@ def test_preset_decides_defaults_and_options_override_them() -> None:
     assert Train.defaults(["--preset", "paper"]).learner == PRESETS["paper"]
     assert Train.defaults(["--preset=paper"]).preset == "paper"
     assert Train.defaults(["--space", "anchor"]).learner == PRESETS["tuned"]
+
+
+def test_values_of_a_task_that_does_not_end_are_not_clipped(tmp_path: Path, demonstrations: Path) -> None:
+    with pytest.raises(CdcsrError, match=r"'follow-line' pays for every action .* --learner\.no-clip-targets"):
+        train(_config(tmp_path / "run", demonstrations, task="follow-line"))
+    assert not (tmp_path / "run").exists()
