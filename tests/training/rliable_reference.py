@@ -1,7 +1,7 @@
 """Makes rliable.json with the rliable package itself, which this project does not depend on.
 
-python -m venv /tmp/rliable && /tmp/rliable/bin/pip install rliable==1.2.0 arch==7.2.0 "pandas<3"
-/tmp/rliable/bin/python tests/training/rliable_reference.py > tests/training/rliable.json
+python -m venv rliable && rliable/bin/pip install rliable==1.2.0 arch==7.2.0 "pandas<3"
+rliable/bin/python tests/training/rliable_reference.py > tests/training/rliable.json
 """
 
 import json
