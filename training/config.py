@@ -140,6 +140,10 @@ def learner_for(algorithm: str, preset: PresetName) -> Learner:
     return replace(PRESETS[preset], **OWN.get(algorithm, {}).get(preset, {}))
 
 
+_UNSET = Learner()
+"""Stands for a learner that is not given: this object, not one equal to it."""
+
+
 @dataclass(frozen=True)
 class Train:
     """Train a policy: BATD3, what it is compared with, or CLASP."""
@@ -179,14 +183,15 @@ class Train:
     """Start anew in a folder that holds a run already."""
     json: Path | None = None
     """Also write the summary to this file."""
-    learner: Learner = field(default_factory=lambda: PRESETS["tuned"])
+    learner: Learner = field(default_factory=lambda: _UNSET)
+    """By default that of the algorithm and the preset, :func:`learner_for`."""
 
     def __post_init__(self) -> None:
-        from cdcsr.randomization import check_scale  # it knows robots, which `cdcsr --help` need not wait for
-
+        if self.learner is _UNSET:
+            object.__setattr__(self, "learner", learner_for(self.algorithm, self.preset))
         learner = self.learner
         if self.randomize:
-            from cdcsr.randomization import check_scale
+            from cdcsr.randomization import check_scale  # it knows robots, which `cdcsr --help` need not wait for
 
             check_scale(self.randomize)
         if not 1 <= learner.target_critics <= learner.critics:

@@ -45,7 +45,7 @@ def experiments(
         list: show what would be done, and do nothing.
         json: also write what became of each run to this file.
     """
-    from cdcsr.errors import CdcsrError, CheckFailed
+    from cdcsr.errors import CdcsrError, CheckFailed, unknown_choice
     from cdcsr.files import write_json
     from training.study.grid import BUDGETS, EXPERIMENTS, collect, expected
     from training.study.jobs import Job
@@ -54,6 +54,9 @@ def experiments(
         raise CdcsrError(f"No experiment is given; name some of: {', '.join(EXPERIMENTS)}; or all.")
     if address is not None and executor != "ray":
         raise CdcsrError("--address is that of a Ray cluster; give --executor ray with it.")
+    for name in names:
+        if name not in (*EXPERIMENTS, "all"):
+            raise CdcsrError(unknown_choice("experiment", name, (*EXPERIMENTS, "all")))
     chosen = [*EXPERIMENTS] if not names or "all" in names else names
     if jobs is not None and executor == "ray":
         raise CdcsrError("--jobs is for this machine; a Ray cluster has as many runs side by side as processors.")

@@ -181,6 +181,7 @@ def test_the_command_lists_and_refuses(tmp_path: Path, capsys: pytest.CaptureFix
     assert code == 0
     assert text.count("bc-tuned_") == 3
     assert command()[0] == 2
+    assert "Unknown experiment 'tabel2'" in command("all", "tabel2")[1]
     assert "--executor ray" in command("table2", "--address", "here:1")[1]
     assert "--jobs is for this machine" in command("table2", "--jobs", "2", "--executor", "ray")[1]
     code, text = command("tabel2")

@@ -15,7 +15,7 @@ from safetensors.torch import load_file
 from tiny import FRAME_SKIP
 
 from cdcsr.errors import CdcsrError
-from training.config import PRESETS, Train
+from training.config import PRESETS, Learner, Train, learner_for
 from training.policy import load_policy
 from training.trainer import Run, train
 
@@ -167,3 +167,9 @@ def test_values_of_a_task_that_does_not_end_are_not_clipped(tmp_path: Path, demo
     with pytest.raises(CdcsrError, match=r"'follow-line' pays for every action .* --learner\.no-clip-targets"):
         train(_config(tmp_path / "run", demonstrations, task="follow-line"))
     assert not (tmp_path / "run").exists()
+
+
+def test_a_learner_that_is_not_given_is_the_algorithms_own() -> None:
+    assert Train(out=Path("x"), algorithm="clasp").learner == learner_for("clasp", "tuned")
+    assert Train(out=Path("x"), algorithm="rlpd", preset="paper").learner == learner_for("rlpd", "paper")
+    assert Train(out=Path("x"), algorithm="clasp", learner=Learner()).learner == Learner()
