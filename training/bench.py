@@ -146,6 +146,7 @@ def batd3_updates() -> Callable[[int], None]:
         torch.randn(256, size),
         torch.rand(256, cables) * 2 - 1,
         torch.rand(256, cables) * 2 - 1,
+        torch.rand(256),
     )
 
     def run(updates: int) -> None:

@@ -59,11 +59,14 @@ class Learner:
     """Weight in the actor's loss of (|z| - 3)^2 where its output tanh(z) is saturated, |z| > 3. Good commands here
     are nearly on and off; without it, a cable that is off early on may never get a gradient again."""
     clone_start: bool = False
-    """The actor starts from behaviour cloning instead of from random weights."""
+    """The actor starts as the behaviour clone instead of from random weights."""
     clone_anchor: float = 0.0
     """w: weight in the actor's loss of its squared distance from the clone's action, falling linearly to zero."""
     anchor_updates: int = 4_000
     """Updates after which that weight is zero."""
+    self_imitation: float = 0.0
+    """Weight in the actor's loss of its squared distance from actions after which an episode went better than a
+    critic expects of the actor, times by how much."""
     scaled_values: bool = False
     """Divide the values in the actor's loss by their mean magnitude in the batch (Fujimoto and Gu 2021, eq. 5)."""
     hindsight: int = 0
@@ -129,15 +132,26 @@ OWN: dict[str, dict[PresetName, dict[str, Any]]] = {
     # Of five critics TD3's two are left, and of the tuned preset's two one.
     "batd3-no-ensemble": {"paper": {"critics": 2}, "tuned": {"critics": 1, "target_critics": 1}},
     "clasp": {
-        preset: {"clone_start": True, "clone_anchor": 0.7, "anchor_updates": 2_000} for preset in ("paper", "tuned")
+        preset: {"clone_start": True, "clone_anchor": 0.7, "anchor_updates": 2_000, "self_imitation": 5.0}
+        for preset in ("paper", "tuned")
     },
 }
 """What an algorithm's learner has of its own in each preset."""
 
 
-def learner_for(algorithm: str, preset: PresetName) -> Learner:
-    """The numbers of a preset, with what the algorithm has of its own."""
-    return replace(PRESETS[preset], **OWN.get(algorithm, {}).get(preset, {}))
+TASK_OWN: dict[str, dict[str, Any]] = {
+    # As far sighted for their length as 0.99 is for the 250 steps of reaching.
+    "capture": {"discount": 0.995},
+    # Every action on target pays, so values go beyond 1.
+    "follow": {"clip_targets": False},
+}
+"""What the preset `tuned` has of its own for tasks that are no kind of reaching, by the first word of their names."""
+
+
+def learner_for(algorithm: str, preset: PresetName, task: str = "reach") -> Learner:
+    """The numbers of a preset, with what the algorithm and, where it is tuned, the task have of their own."""
+    tuned = TASK_OWN.get(task.partition("-")[0], {}) if preset == "tuned" else {}
+    return replace(PRESETS[preset], **tuned, **OWN.get(algorithm, {}).get(preset, {}))
 
 
 _UNSET = Learner()
@@ -184,11 +198,11 @@ class Train:
     json: Path | None = None
     """Also write the summary to this file."""
     learner: Learner = field(default_factory=lambda: _UNSET)
-    """By default that of the algorithm and the preset, :func:`learner_for`."""
+    """By default that of the algorithm, the preset and the task, :func:`learner_for`."""
 
     def __post_init__(self) -> None:
         if self.learner is _UNSET:
-            object.__setattr__(self, "learner", learner_for(self.algorithm, self.preset))
+            object.__setattr__(self, "learner", learner_for(self.algorithm, self.preset, self.task))
         learner = self.learner
         if self.randomize:
             from cdcsr.randomization import check_scale  # it knows robots, which `cdcsr --help` need not wait for
@@ -221,11 +235,11 @@ class Train:
 
     @classmethod
     def defaults(cls, argv: Sequence[str]) -> Train:
-        """The values of options not given in `argv`: they depend on the preset and the algorithm that are."""
+        """The values of options not given in `argv`: they depend on the preset, the algorithm and the task that are."""
         import tyro
 
         preset: PresetName = "paper" if _option(argv, "--preset") == "paper" else "tuned"
-        learner = learner_for(_option(argv, "--algorithm") or "batd3", preset)
+        learner = learner_for(_option(argv, "--algorithm") or "batd3", preset, _option(argv, "--task") or "reach")
         return cls(out=tyro.MISSING, preset=preset, learner=learner)
 
     def run(self) -> None:

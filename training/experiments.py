@@ -76,6 +76,12 @@ def experiments(
             f"{len(begun)} runs in {runs} were begun and not finished, the first is {begun[0]}; "
             "give --resume to go on with them, or delete their folders."
         )
+    for job in wanted:
+        if changed := job.changed(results):
+            raise CdcsrError(
+                f"{results / job.name} was made with other numbers of the learner ({'; '.join(changed)}); "
+                "delete it to have it made again, or give another folder with --results."
+            )
     write_json(results / "expected.json", expected(amounts))
     if executor == "ray":
         from training.study.ray_executor import carry_out_on_ray

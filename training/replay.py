@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from itertools import accumulate
 from typing import NamedTuple
 
 import numpy as np
@@ -29,6 +30,8 @@ class Batch(NamedTuple):
     """(B, C), the behaviour clone's action at the beginning, in [-1, 1]."""
     next_bc_action: Tensor
     """(B, C), the behaviour clone's action at the end, in [-1, 1]."""
+    outcome: Tensor
+    """(B,) discounted sum of the rewards from the beginning to the end of the episode."""
 
 
 class Replay:
@@ -55,6 +58,7 @@ class Replay:
             "bc_action": np.zeros((capacity, action_size), np.float32),
             "reward": np.zeros(capacity, np.float32),
             "discount": np.zeros(capacity, np.float32),
+            "outcome": np.zeros(capacity, np.float32),
             "successor": np.full(capacity, -1, np.int64),
         }
         self.position = 0
@@ -88,6 +92,7 @@ class Replay:
         rows["reward"][at[:-1]] = returns
         weight = self.discount ** (ends - np.arange(length))
         rows["discount"][at[:-1]] = np.where((ends == length) & terminated, 0, weight)
+        rows["outcome"][at[:-1]] = returns_to_go(rewards, self.discount)
         rows["successor"][at[:-1]] = at[ends]
         rows["successor"][at[-1]] = -1
         self.position = int((self.position + length + 1) % self.capacity)
@@ -109,7 +114,14 @@ class Replay:
             next_observation=torch.from_numpy(rows["observation"][successor]),
             bc_action=torch.from_numpy(rows["bc_action"][chosen]),
             next_bc_action=torch.from_numpy(rows["bc_action"][successor]),
+            outcome=torch.from_numpy(rows["outcome"][chosen]),
         )
+
+
+def returns_to_go(rewards: Array, discount: float) -> Array:
+    """Discounted sums of the rewards from each action of an episode to its last: shape (T,) -> (T,)."""
+    backwards = accumulate(reversed(rewards.tolist()), lambda later, reward: reward + discount * later)
+    return np.array([*backwards])[::-1]
 
 
 def n_step_returns(rewards: Array, discount: float, steps: int) -> tuple[Array, NDArray[np.int64]]:

@@ -36,6 +36,7 @@ def small_batch(small_robot: Robot) -> Batch:
     return Batch(
         uniform(_SIZE, size), uniform(_SIZE, cables), torch.rand(_SIZE, generator=generator),
         torch.tensor([0.9, 0.0, 0.81, 0.9]), uniform(_SIZE, size), uniform(_SIZE, cables), uniform(_SIZE, cables),
+        torch.rand(_SIZE, generator=generator),
     )  # fmt: skip
 
 

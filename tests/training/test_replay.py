@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from training.replay import Replay, n_step_returns
+from training.replay import Replay, n_step_returns, returns_to_go
 
 
 def _episode(replay: Replay, length: int, success: bool, mark: float) -> None:
@@ -24,12 +24,18 @@ def test_returns_by_hand() -> None:
     np.testing.assert_array_equal(ends, [2, 3, 3])
 
 
+def test_returns_to_go_by_hand() -> None:
+    # Rewards 1, 0, 4 with gamma = 1/2: 1 + 4/4, 4/2, 4.
+    np.testing.assert_array_equal(returns_to_go(np.array([1.0, 0.0, 4.0]), 0.5), [2, 2, 4])
+
+
 def test_transitions_of_a_successful_episode() -> None:
     replay = Replay(10, 2, 1, discount=0.5, return_steps=3)
     _episode(replay, 4, success=True, mark=1)
     # From step 1 on, three actions reach the end: the reward counts, discounted, and nothing is bootstrapped.
     np.testing.assert_allclose(replay.rows["reward"][:4], [0, 0.25, 0.5, 1])
     np.testing.assert_allclose(replay.rows["discount"][:4], [0.125, 0, 0, 0])
+    np.testing.assert_allclose(replay.rows["outcome"][:4], [0.125, 0.25, 0.5, 1])
     np.testing.assert_array_equal(replay.rows["successor"][:5], [3, 4, 4, 4, -1])
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from collections import Counter
-from dataclasses import replace
+from dataclasses import asdict, replace
 from pathlib import Path
 
 import pytest
@@ -12,6 +12,7 @@ from tiny import TINY, TINY_BUDGET, tiny_job
 
 from cdcsr.cli import run
 from cdcsr.errors import CdcsrError
+from cdcsr.files import write_json
 from cdcsr.robot import load_robot
 from controllers.jacobian import JacobianController
 from training.experiments import experiments
@@ -148,6 +149,16 @@ def test_a_record_that_is_missing_is_not_done(tmp_path: Path, quick_evaluation: 
     assert job.is_done(results)
     assert quick_evaluation == {"jacobian nominal": 1}
     assert sorted(path.name for path in (results / job.name).iterdir()) == ["nominal.csv", "run.json"]
+
+
+def test_results_of_another_learner_are_not_taken_for_done(tmp_path: Path) -> None:
+    job = tiny_job()
+    record = tmp_path / job.name / "run.json"
+    write_json(record, {"learner": asdict(job.spec.learner)})
+    assert job.changed(tmp_path) == []
+    other = asdict(job.spec.learner) | {"discount": 0.5}
+    write_json(record, {"learner": other})
+    assert job.changed(tmp_path) == [f"discount 0.5, now {job.spec.learner.discount}"]
 
 
 @pytest.mark.parametrize(

@@ -14,12 +14,11 @@ import torch
 from safetensors import safe_open
 from tiny import FRAME_SKIP
 
-from cdcsr.robot import Robot, load_robot
+from cdcsr.robot import load_robot
 from controllers.demonstrations import load
-from training.algorithms import ALGORITHMS, BATD3, CLASP, DRLDR, RBL, TD3, BehaviourCloning
+from training.algorithms import ALGORITHMS, BATD3, CLASP, DRLDR, RBL, TD3
 from training.algorithms.batd3 import WithoutAssistance
-from training.algorithms.bc import imitate
-from training.config import PRESETS, AlgorithmName, Learner, Train, learner_for
+from training.config import PRESETS, AlgorithmName, Train, learner_for
 from training.replay import Batch
 from training.trainer import train
 
@@ -90,31 +89,36 @@ def test_a_dense_reward_is_not_clipped(make: Make, small_batch: Batch) -> None:
 
 @pytest.mark.parametrize(("updates", "weight"), [(0, 2.0), (250, 1.0), (500, 0.0), (900, 0.0)])
 def test_clasp_lets_go_of_the_clone_linearly(make: Make, small_batch: Batch, updates: int, weight: float) -> None:
-    clasp = make(CLASP, critics=2, target_critics=2, clone_anchor=2.0, anchor_updates=500, scaled_values=True)
+    clasp = make(CLASP, critics=1, target_critics=1, clone_anchor=2.0, anchor_updates=500, scaled_values=True)
     clasp.updates = updates
     encoded = clasp.actor.encoder(small_batch.observation)
     with torch.no_grad():
         action = clasp.actor(encoded)
-        values = _values(clasp, encoded, action)
+        value = _values(clasp, encoded, action)[0]
         distance = ((action - small_batch.bc_action) ** 2).mean().item()
-        expected = -values.mean().item() / values.abs().mean().item() + weight * distance
+        expected = -value.mean().item() / value.abs().mean().item() + weight * distance
         assert clasp.actor_loss(encoded, small_batch).item() == pytest.approx(expected, rel=1e-5)
 
 
-def test_imitation_is_the_same_for_clone_and_actor(small_robot: Robot) -> None:
-    learner = Learner(hidden=(16,), bc_updates=30)
-    generator = torch.Generator().manual_seed(1)
-    observations = torch.randn(50, 23 + small_robot.num_cables, generator=generator)
-    commands = -5 * torch.rand(50, small_robot.num_cables, generator=generator)
-    torch.manual_seed(0)
-    clone = BehaviourCloning(small_robot, learner, torch.Generator().manual_seed(2))
-    before = ((clone.actor.command(observations) - commands) ** 2).mean()
-    torch.manual_seed(0)
-    other = BehaviourCloning(small_robot, learner, torch.Generator().manual_seed(2)).actor
-    clone.fit(observations, commands, lambda *_: None)
-    imitate(other, learner, observations, commands, torch.Generator().manual_seed(2), lambda *_: None)
-    torch.testing.assert_close(clone.actor.command(observations), other.command(observations))
-    assert ((other.command(observations) - commands) ** 2).mean() < before
+def test_clasp_imitates_what_went_better_than_expected_by_how_much(make: Make, small_batch: Batch) -> None:
+    clasp = make(CLASP, critics=1, target_critics=1, self_imitation=3.0)
+    encoded = clasp.actor.encoder(small_batch.observation)
+    with torch.no_grad():
+        action = clasp.actor(encoded)
+        value = _values(clasp, encoded, action)[0]
+        batch = small_batch._replace(outcome=value + torch.tensor([0.5, -0.5, 0.25, 0.0]))
+        distance = ((action - batch.action) ** 2).mean(1)
+        expected = -value.mean().item() + 3.0 * (0.5 * distance[0] + 0.25 * distance[2]).item() / 4
+        assert clasp.actor_loss(encoded, batch).item() == pytest.approx(expected, rel=1e-5)
+
+
+def test_the_critic_that_judges_clasps_actor_is_drawn_anew(make: Make, small_batch: Batch) -> None:
+    clasp = make(CLASP, critics=3, target_critics=2)
+    encoded = clasp.actor.encoder(small_batch.observation)
+    with torch.no_grad():
+        losses = {round(clasp.actor_loss(encoded, small_batch).item(), 6) for _ in range(60)}
+        values = _values(clasp, encoded, clasp.actor(encoded)).mean(1)
+    assert losses == {round(-value, 6) for value in values.tolist()}
 
 
 @pytest.mark.parametrize("algorithm", list(ALGORITHMS))

@@ -1,26 +1,51 @@
-"""CLASP: clone-anchored learning from sparse rewards; BATD3 taken further."""
+"""CLASP: clone-anchored, self-imitating learning from sparse rewards; BATD3's means put to another use."""
 
 from __future__ import annotations
 
-from torch import Tensor
-from torch.nn import functional
+from typing import ClassVar
 
-from training.algorithms.batd3 import BATD3
+import torch
+from torch import Tensor
+
+from training.algorithms.td3 import TD3
 from training.replay import Batch
 
 
-class CLASP(BATD3):
-    """The actor begins as a clone of the demonstrator and is let go of as the critics learn to judge it.
+class CLASP(TD3):
+    """The actor begins as the clone, is let go of as the critics learn to judge it, and holds on to what went well.
 
-    On top of BATD3: the actor starts from behaviour cloning (`clone_start`) and its loss holds w |pi(s) - a_BC(s)|^2,
-    w falling linearly from `clone_anchor` to zero. With `scaled_values`, which its presets leave off, that is against
-    values divided by their mean magnitude, as in TD3+BC (Fujimoto and Gu 2021), whose regularization never ends.
+    The replay buffer begins as BATD3's does, with the demonstrations and the clone's successes. The clone does not
+    assist targets, though, but the actor, which starts as the clone (`clone_start`) and has two more terms in its loss:
+
+    - w |pi(s) - a_BC(s)|^2, w falling linearly from `clone_anchor` to zero;
+    - `self_imitation` (G - V)+ |pi(s) - a|^2, where G is the discounted return that followed (s, a) and V what a critic
+      expects of pi(s): self-imitation learning (Oh et al. 2018, eq. 2). Exploration noise shakes the arm off the paths
+      it knows, and this shows it which of the ways back were good ones. It fades as nothing is better any more.
+
+    With `scaled_values`, which its presets leave off, these are against values divided by their mean magnitude, as in
+    TD3+BC (Fujimoto and Gu 2021), whose regularization never ends. One critic, drawn at random, judges the actor.
     """
 
+    uses_demonstrations: ClassVar[bool] = True
+    uses_clone: ClassVar[bool] = True
+    uses_rollouts: ClassVar[bool] = True
+
     def policy_loss(self, encoded: Tensor, action: Tensor, batch: Batch) -> Tensor:
-        values = self.drawn_values(encoded, action)
-        loss = -values.mean()
+        judge = int(torch.randint(self.learner.critics, (), generator=self._generator))
+        value = self.critics(encoded, action, [judge])[0]
+        expected = value.detach()
+        loss = -value.mean()
         if self.learner.scaled_values:
-            loss = loss / values.detach().abs().mean().clamp_min(1e-3)
+            loss = loss / expected.abs().mean().clamp_min(1e-3)
         weight = self.learner.clone_anchor * max(0.0, 1 - self.updates / self.learner.anchor_updates)
-        return loss if weight == 0 else loss + weight * functional.mse_loss(action, batch.bc_action)
+        if weight > 0:
+            loss = loss + weight * _distance(action, batch.bc_action).mean()
+        if self.learner.self_imitation > 0:
+            better = (batch.outcome - expected).clamp_min(0)
+            loss = loss + self.learner.self_imitation * (_distance(action, batch.action) * better).mean()
+        return loss
+
+
+def _distance(one: Tensor, other: Tensor) -> Tensor:
+    """Mean over cables of the squared difference, shape (B,)."""
+    return (one - other).square().mean(-1)

@@ -49,7 +49,7 @@ def curve_figures(runs: Sequence[Run], out: Path) -> Iterator[tuple[str, str]]:
     chosen: tuple[tuple[str, str, list[Run], Callable[[Setting], str]], ...] = (
         ("fig3", "Fig. 3: training", [run for run in plain if run.setting.algorithm not in ABLATIONS[1:]], _by_space),
         ("fig4", "Fig. 4: ablations of BATD3", [r for r in plain if r.setting.algorithm in ABLATIONS], _by_space),
-        ("ours", f"Variants of {algorithm_title(OURS)}", variants(runs), _by_space),
+        ("ours", f"Variants of {algorithm_title(OURS)} and of BATD3", variants(runs), _by_space),
         ("fig5", "Fig. 5: number of demonstrations, Anchor Space", counted(runs), _by_algorithm),
     )
     for name, title, some, panel in chosen:

@@ -51,9 +51,9 @@ OURS = "clasp"
 OURS_SWITCHES: tuple[tuple[tuple[str, Any], ...], ...] = (
     (("clone_start", False),),
     (("clone_anchor", 0.0),),
+    (("self_imitation", 0.0),),
     (("anchor_updates", 4_000),),
     (("hindsight", 1),),
-    (("target_choice", "hard"),),
     (("discount", 1.0), ("step_cost", 0.004)),
     (("final_learning_rate", 0.1),),
     (("kept_share", 0.25), ("keep_successes", True)),
@@ -62,6 +62,8 @@ OURS_SWITCHES: tuple[tuple[tuple[str, Any], ...], ...] = (
     (("critics", 5),),
 )
 """What the ablation of our method changes in its learner, one change an entry."""
+CHOICES = ("hard", "scaled")
+"""Other ways for BATD3's targets to choose between clone and policy."""
 ABLATIONS = ("batd3", "batd3-no-bc", "batd3-no-prefill", "batd3-no-ensemble")
 COUNTS = (3, 5, 20)
 """Numbers of demonstrations, besides 10."""
@@ -168,10 +170,12 @@ def paper_preset(budget: Budget) -> Iterator[Cell]:
 
 
 def ours(budget: Budget) -> Iterator[Cell]:
-    """Our method without each of its parts."""
+    """Our method without each of its parts, and what else might take BATD3 further."""
     for seed in range(budget.seeds):
         for switches in ((), *OURS_SWITCHES):
             yield _spec(budget, OURS, "spatter", seed, switches=switches), ("nominal",)
+        for choice in CHOICES:
+            yield _spec(budget, "batd3", "spatter", seed, switches=(("target_choice", choice),)), ("nominal",)
 
 
 EXPERIMENTS: dict[str, Experiment] = {

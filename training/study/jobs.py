@@ -55,6 +55,15 @@ class Job:
         """Whether nothing is left to do."""
         return (results / self.name / RECORD).is_file() and not self.missing(results)
 
+    def changed(self, results: Path) -> list[str]:
+        """Numbers of the learner that the results there were made with, and that are others now."""
+        path = results / self.name / RECORD
+        if not path.is_file():
+            return []
+        recorded = json.loads(path.read_text(encoding="utf-8")).get("learner", {})
+        now = json.loads(json.dumps(asdict(self.spec.learner)))
+        return [f"{name} {value}, now {now.get(name)}" for name, value in recorded.items() if now.get(name) != value]
+
     def is_begun(self, runs: Path) -> bool:
         """Whether its training has begun, and not ended."""
         return (runs / self.name / "config.json").is_file() and not (runs / self.name / "summary.json").is_file()
@@ -167,6 +176,7 @@ def _record(job: Job, subject: Any, card: dict[str, Any]) -> dict[str, Any]:
 
     return {
         "spec": {**job.spec.as_dict(), "budget": job.budget.name},
+        "learner": asdict(job.spec.learner) if job.spec.trains else {},
         "minutes": card.get("minutes", 0.0),
         "updates": card.get("updates", 0),
         "environment_steps": card.get("environment_steps", 0),

@@ -65,9 +65,14 @@ class RunSpec:
         """Whether there is anything to train."""
         return self.algorithm != SCRIPTED
 
+    @property
+    def learner(self) -> Learner:
+        """The numbers of the learner."""
+        own = learner_for(self.algorithm, self.preset, self.task)
+        return replace(own, updates=self.updates, **dict(self.switches))
+
     def train(self, out: Path) -> Train:
         """The training run, in the folder `out`."""
-        learner = replace(learner_for(self.algorithm, self.preset), updates=self.updates, **dict(self.switches))
         return Train(
             out,
             algorithm=cast(AlgorithmName, self.algorithm),  # a job refuses what is none
@@ -78,7 +83,7 @@ class RunSpec:
             randomize=self.randomize,
             num_demonstrations=self.demonstrations,
             seed=self.seed,
-            learner=learner,
+            learner=self.learner,
         )
 
     def as_dict(self) -> dict[str, Any]:

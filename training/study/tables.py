@@ -44,13 +44,13 @@ def own_ablation(runs: Sequence[Run]) -> Table:
     """Our method with single numbers of its learner changed, in the spaces where that was done."""
     chosen = variants(runs)
     rows = [row for space in SPACES for row in _home_rows(chosen, space, ())]
-    title = f"Ablations of {algorithm_title(OURS)}"
+    title = f"Variants of {algorithm_title(OURS)} and of BATD3"
     return Table("ours", title, basis(chosen), ("space", *TRAINED, *_RESULT, *COST), rows)
 
 
 def variants(runs: Iterable[Run]) -> list[Run]:
-    """Runs of our method in settings of the paper, in those spaces in which a variant of it was run."""
-    own = [run for run in runs if run.setting.algorithm == OURS and run.setting.of_paper]
+    """Runs of our method, and of others with switches, in those spaces of the paper in which a variant was run."""
+    own = [run for run in runs if run.setting.of_paper and (run.setting.algorithm == OURS or run.setting.switches)]
     own = [run for run in own if run.setting.demonstrations == DEMONSTRATIONS and not run.setting.randomize]
     spaces = {run.setting.space for run in own if run.setting.switches}
     return [run for run in own if run.setting.space in spaces]
