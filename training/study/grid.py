@@ -122,10 +122,11 @@ def table4(budget: Budget) -> Iterator[Cell]:
 def fig6(budget: Budget) -> Iterator[Cell]:
     """Fig. 6: following a target that moves, and what the base does meanwhile."""
     yield _scripted(), ("follow",)
+    yield _scripted(task="capture"), ("follow",)
     for seed in range(budget.seeds):
-        for space in ("spatter", "anchor"):
+        for task, space in (("reach", "spatter"), ("reach", "anchor"), ("capture", "anchor")):
             for algorithm in ("batd3", OURS, "bc"):
-                yield _spec(budget, algorithm, space, seed), ("follow",)
+                yield _spec(budget, algorithm, space, seed, task=task), ("follow",)
 
 
 def transfer(budget: Budget) -> Iterator[Cell]:

@@ -32,7 +32,7 @@ _COLUMNS = 4
 
 
 def follow_figures(runs: Sequence[Run], out: Path) -> Iterator[tuple[str, str]]:
-    """Fig. 6, for each space and engine of training; tested in that engine.
+    """Fig. 6, for each task, space and engine of training; tested in that engine.
 
     Args:
         runs: of the study.
@@ -41,14 +41,14 @@ def follow_figures(runs: Sequence[Run], out: Path) -> Iterator[tuple[str, str]]:
     Yields:
         The name of each file, and its caption.
     """
-    kinds: dict[tuple[str, str], list[Run]] = {}
+    kinds: dict[tuple[str, str, str], list[Run]] = {}
     for run in runs:
         if run.follow is not None:
-            kinds.setdefault((run.setting.space, run.setting.backend), []).append(run)
-    for (space, engine), chosen in sorted(kinds.items()):
+            kinds.setdefault((run.setting.task, run.setting.space, run.setting.backend), []).append(run)
+    for (task, space, engine), chosen in sorted(kinds.items()):
         groups, title = grouped(chosen), engine_title(engine)
         motions = sorted({str(x) for run in chosen if run.follow for x in run.follow["motion"]})
-        file = f"fig6-{space}-{engine}.png"
+        file = f"fig6-{space}-{engine}.png" if task == "reach" else f"fig6-{task}-{space}-{engine}.png"
         with drawn(out / file, (3.6 * len(motions) + 0.5, 6.4), "constrained") as figure:
             grid = figure.subplots(len(_FOLLOWED), len(motions), sharex=True, sharey="row", squeeze=False)
             for row, (name, (label, factor, bound)) in zip(grid, _FOLLOWED.items(), strict=True):
@@ -67,7 +67,7 @@ def follow_figures(runs: Sequence[Run], out: Path) -> Iterator[tuple[str, str]]:
         yield (
             file,
             (
-                f"Fig. 6: following a moving target; trained in {SPACES.get(space, space)} Space in {title},"
+                f"Fig. 6: following a moving target; trained to {task} in {SPACES.get(space, space)} Space in {title},"
                 f" {amount(map(len, groups.values()), 'seed')}. Mean over episodes and seeds, and the range of"
                 " nine tenths; dotted, the paper's bounds on the base, and the distance that is success."
             ),
