@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import time
 from collections import deque
+from collections.abc import Iterator
+from contextlib import contextmanager
 from typing import Any
 
 import numpy as np
@@ -25,6 +27,7 @@ from controllers import demonstrations
 from controllers.demonstrations import Episode
 from controllers.jacobian import JacobianController
 from training.algorithms import ALGORITHMS, BehaviourCloning
+from training.algorithms.bc import Progress, imitate
 from training.algorithms.td3 import TD3
 from training.checkpoints import load_state, save_state
 from training.collector import Collector, FinishedEpisode, exploration_noise
@@ -67,12 +70,7 @@ class Run:
                 f"clip_targets holds values to [0, 1], which is right only where success ends an episode, and "
                 f"{config.task!r} pays for every action on target; give --learner.no-clip-targets."
             )
-        learns = None if config.algorithm == "bc" else ALGORITHMS[config.algorithm]
-        if learns is not None and config.learner.clone_start and not learns.uses_clone:
-            raise CdcsrError(
-                f"{config.algorithm} trains no clone that its actor could start from; leave out clone_start."
-            )
-        self.reward: Reward = "sparse" if learns is None else learns.reward
+        self.reward: Reward = "sparse" if config.algorithm == "bc" else ALGORITHMS[config.algorithm].reward
         self.episodes = self._demonstrations()
         claim_folder(self.folder, {**config.identity(), "fingerprint": self.robot.fingerprint}, config.force)
         self.centers = np.array([episode.target for episode in self.episodes])
@@ -121,12 +119,7 @@ class Run:
         if (self.folder / "clone" / "policy.json").is_file():
             clone.actor = load_policy(self.folder / "clone").actor
             return clone
-        with tqdm(total=self.config.learner.bc_updates, desc="clone", unit="update") as bar:
-
-            def progress(update: int, loss: float) -> None:
-                bar.update(update - bar.n)
-                bar.set_postfix(loss=f"{loss:.2g}")
-
+        with self._bar("clone") as progress:
             clone.fit(*self._pairs(), progress)
         self._policy(clone.actor, "bc").save(self.folder / "clone")
         return clone
@@ -135,6 +128,17 @@ class Run:
         """What the demonstrator saw and what it did."""
         observations = np.concatenate([episode.observations[:-1] for episode in self.episodes])
         return _tensor(observations), _tensor(np.concatenate([episode.actions for episode in self.episodes]))
+
+    @contextmanager
+    def _bar(self, what: str) -> Iterator[Progress]:
+        """Shows how far imitation has come."""
+        with tqdm(total=self.config.learner.bc_updates, desc=what, unit="update") as bar:
+
+            def progress(update: int, loss: float) -> None:
+                bar.update(update - bar.n)
+                bar.set_postfix(loss=f"{loss:.2g}")
+
+            yield progress
 
     def _begin(self, memory: Memory, algorithm: TD3, clone: BehaviourCloning | None) -> None:
         """Let the learner begin with what the algorithm is given: demonstrations, the clone's successes, its skill."""
@@ -157,8 +161,8 @@ class Run:
             for episode in episodes
         )
         if self.config.learner.clone_start:
-            assert clone is not None
-            actor.load_state_dict(clone.actor.state_dict())
+            with self._bar("actor") as progress:
+                imitate(actor, self.config.learner, *self._pairs(), self.torch_generator, progress)
             algorithm.target_actor.load_state_dict(actor.state_dict())
 
     # -- learning -------------------------------------------------------------------------------------------

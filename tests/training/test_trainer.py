@@ -17,7 +17,7 @@ from tiny import FRAME_SKIP
 from cdcsr.errors import CdcsrError
 from training.config import PRESETS, Learner, Train, learner_for
 from training.policy import load_policy
-from training.trainer import Run, _tensor, train
+from training.trainer import Run, train
 
 _SMALL = dataclasses.replace(
     PRESETS["tuned"], hidden=(16, 16), batch_size=32, num_envs=4, updates=60, bc_updates=100, bc_rollouts=4
@@ -175,23 +175,8 @@ def test_a_learner_that_is_not_given_is_the_algorithms_own() -> None:
     assert Train(out=Path("x"), algorithm="clasp", learner=Learner()).learner == Learner()
 
 
-def test_an_actor_starts_as_the_clone_or_not_at_all(tmp_path: Path, demonstrations: Path) -> None:
-    learner = dataclasses.replace(_SMALL, clone_start=True, learning_rate=0.0, updates=2)
-    policy = train(_config(tmp_path / "run", demonstrations, algorithm="clasp", learner=learner))
-    clone = load_policy(tmp_path / "run" / "clone")
-    observations = np.random.default_rng(0).normal(size=(5, len(clone.actor.encoder.offset)))
-    np.testing.assert_allclose(
-        policy.actor.command(_tensor(observations)).detach(),
-        clone.actor.command(_tensor(observations)).detach(),
-        atol=1e-6,
-    )
-    with pytest.raises(CdcsrError, match="td3 trains no clone that its actor could start from"):
-        train(_config(tmp_path / "other", demonstrations, algorithm="td3", learner=learner))
-    assert not (tmp_path / "other").exists()
-
-
-def test_a_task_that_is_longer_is_learned_with_more_foresight() -> None:
-    assert Train.defaults(["--task", "capture-drift", "--algorithm", "td3"]).learner.discount == 0.995
+def test_what_the_tuned_preset_has_for_other_tasks() -> None:
+    assert Train.defaults(["--task", "capture-drift", "--algorithm", "td3"]).learner.discount == 0.997
     assert Train.defaults(["--task", "capture", "--preset", "paper"]).learner == PRESETS["paper"]
     assert Train.defaults(["--task=precise"]).learner == PRESETS["tuned"]
     assert not learner_for("batd3", "tuned", "follow-line").clip_targets

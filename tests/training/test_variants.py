@@ -14,11 +14,12 @@ import torch
 from safetensors import safe_open
 from tiny import FRAME_SKIP
 
-from cdcsr.robot import load_robot
+from cdcsr.robot import Robot, load_robot
 from controllers.demonstrations import load
-from training.algorithms import ALGORITHMS, BATD3, CLASP, DRLDR, RBL, TD3
+from training.algorithms import ALGORITHMS, BATD3, CLASP, DRLDR, RBL, TD3, BehaviourCloning
 from training.algorithms.batd3 import WithoutAssistance
-from training.config import PRESETS, AlgorithmName, Train, learner_for
+from training.algorithms.bc import imitate
+from training.config import PRESETS, AlgorithmName, Learner, Train, learner_for
 from training.replay import Batch
 from training.trainer import train
 
@@ -119,6 +120,22 @@ def test_the_critic_that_judges_clasps_actor_is_drawn_anew(make: Make, small_bat
         losses = {round(clasp.actor_loss(encoded, small_batch).item(), 6) for _ in range(60)}
         values = _values(clasp, encoded, clasp.actor(encoded)).mean(1)
     assert losses == {round(-value, 6) for value in values.tolist()}
+
+
+def test_imitation_is_the_same_for_clone_and_actor(small_robot: Robot) -> None:
+    learner = Learner(hidden=(16,), bc_updates=30)
+    generator = torch.Generator().manual_seed(1)
+    observations = torch.randn(50, 23 + small_robot.num_cables, generator=generator)
+    commands = -5 * torch.rand(50, small_robot.num_cables, generator=generator)
+    torch.manual_seed(0)
+    clone = BehaviourCloning(small_robot, learner, torch.Generator().manual_seed(2))
+    before = ((clone.actor.command(observations) - commands) ** 2).mean()
+    torch.manual_seed(0)
+    other = BehaviourCloning(small_robot, learner, torch.Generator().manual_seed(2)).actor
+    clone.fit(observations, commands, lambda *_: None)
+    imitate(other, learner, observations, commands, torch.Generator().manual_seed(2), lambda *_: None)
+    torch.testing.assert_close(clone.actor.command(observations), other.command(observations))
+    assert ((other.command(observations) - commands) ** 2).mean() < before
 
 
 @pytest.mark.parametrize("algorithm", list(ALGORITHMS))

@@ -20,8 +20,6 @@ Progress = Callable[[int, float], None]
 class BehaviourCloning:
     """The mean network of a Gaussian policy of fixed width: eq. (4) is the mean squared error.
 
-    Where an actor is to start from it (`clone_start`), it is a network of the actor's kind.
-
     Args:
         robot: the description.
         learner: the learner's numbers.
@@ -30,8 +28,7 @@ class BehaviourCloning:
 
     def __init__(self, robot: Robot, learner: Learner, generator: torch.Generator) -> None:
         self.learner = learner
-        activation = "relu" if learner.clone_start else "tanh"
-        self.actor = Actor(robot, learner.features == "state+error", learner.hidden, activation)
+        self.actor = Actor(robot, learner.features == "state+error", learner.hidden, "tanh")
         self._generator = generator
 
     def actions(self, observations: NDArray[np.float64]) -> NDArray[np.float32]:
@@ -40,24 +37,35 @@ class BehaviourCloning:
             return self.actor(self.actor.encoder(torch.as_tensor(observations, dtype=torch.float32))).numpy()
 
     def fit(self, observations: Tensor, commands: Tensor, progress: Progress) -> None:
-        """Train on all pairs, then freeze.
+        """Train on all pairs, then freeze; see :func:`imitate`."""
+        imitate(self.actor, self.learner, observations, commands, self._generator, progress)
+        self.actor.requires_grad_(False)
 
-        Args:
-            observations: shape (N, 23 + C).
-            commands: the demonstrator's set-points, shape (N, C), in [m].
-            progress: called with the number of the update and its loss.
-        """
-        actor, updates = self.actor, self.learner.bc_updates
-        encoded, wanted = actor.encoder(observations), actor.from_command(commands)
-        optimizer = torch.optim.Adam(actor.parameters(), lr=self.learner.bc_learning_rate, fused=True)
-        schedule = torch.optim.lr_scheduler.CosineAnnealingLR(optimizer, updates)
-        for update in range(1, updates + 1):
-            chosen = torch.randint(len(encoded), (self.learner.batch_size,), generator=self._generator)
-            loss = functional.mse_loss(actor(encoded[chosen]), wanted[chosen])
-            optimizer.zero_grad()
-            loss.backward()
-            optimizer.step()
-            schedule.step()
-            if update % 100 == 0:
-                progress(update, loss.item())
-        actor.requires_grad_(False)
+
+def imitate(
+    actor: Actor, learner: Learner, observations: Tensor, commands: Tensor, generator: torch.Generator,
+    progress: Progress,
+) -> None:  # fmt: skip
+    """Train an actor to do as it was shown.
+
+    Args:
+        actor: the network.
+        learner: the learner's numbers.
+        observations: shape (N, 23 + C).
+        commands: the demonstrator's set-points, shape (N, C), in [m].
+        generator: draws the batches.
+        progress: called with the number of the update and its loss.
+    """
+    encoded, wanted = actor.encoder(observations), actor.from_command(commands)
+    updates = learner.bc_updates
+    optimizer = torch.optim.Adam(actor.parameters(), lr=learner.bc_learning_rate, fused=True)
+    schedule = torch.optim.lr_scheduler.CosineAnnealingLR(optimizer, updates)
+    for update in range(1, updates + 1):
+        chosen = torch.randint(len(encoded), (learner.batch_size,), generator=generator)
+        loss = functional.mse_loss(actor(encoded[chosen]), wanted[chosen])
+        optimizer.zero_grad()
+        loss.backward()
+        optimizer.step()
+        schedule.step()
+        if update % 100 == 0:
+            progress(update, loss.item())
