@@ -26,6 +26,7 @@ def report(
     from training.study.page import beside_paper, missing, page
     from training.study.plant_figures import follow_figures, plant_figures
     from training.study.plants import check_axes
+    from training.study.reachable import beside_demonstrator
     from training.study.records import load_expected, load_study
     from training.study.tables import all_tables
 
@@ -34,7 +35,7 @@ def report(
         raise CdcsrError(f"{results} holds no finished run; make some with `python -m training.experiments`.")
     check_axes(runs)
     _refuse_other_folder(out)
-    paper, tables = list(beside_paper(runs, expected)), list(all_tables(runs))
+    paper, tables = list(beside_paper(runs, expected)), [*all_tables(runs), beside_demonstrator(runs)]
     with new_folder(out, force=True) as folder:
         figures = [*curve_figures(runs, folder), *follow_figures(runs, folder), *plant_figures(runs, folder)]
         for table in (*paper, *tables):

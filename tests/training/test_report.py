@@ -19,6 +19,7 @@ from training.study.figures import aligned
 from training.study.page import beside_paper, missing
 from training.study.paper import TABLE_2, TABLE_3, TABLE_4
 from training.study.plants import sweeps
+from training.study.reachable import beside_demonstrator
 from training.study.records import load_study
 from training.study.statistics import Estimate
 from training.study.tables import comparison, generalization, halvings, robustness, tasks, transfer
@@ -113,6 +114,21 @@ def test_seeds_of_other_settings_are_not_mixed_in(study: Path) -> None:
     rows = [row for row in comparison(load_study(study)).rows if row[:2] == ["Anchor", "BATD3"]]
     assert sorted(str(row[-3]) for row in rows) == ["1", "3"]  # the longer one stands by itself, the rest elsewhere
     assert [row[:3] for row in tasks(load_study(study)).rows] == [["quiet", "anchor", "BATD3"]]
+
+
+def test_only_what_somebody_reaches_counts_beside_the_demonstrator(tmp_path: Path) -> None:
+    study = tmp_path / "study"
+    # Nobody reaches the last target; the third only one that is no seed of this setting, in the other engine.
+    write_run(study, "own", {"nominal": [nominal("1100"), nominal("1100", backend="pybullet")]})
+    write_run(study, "other", {"nominal": [nominal("1010", backend="pybullet")]}, algorithm="bc", randomize=1.0)
+    shown = write_run(study, "jacobian", {"nominal": [nominal("0100")]}, algorithm="jacobian")
+    write_csv(
+        shown / "nominal.csv", HEAD, [["mujoco", "anchor", "nominal", 0, i, int(i == 1), 125, 0.01] for i in range(4)]
+    )
+    row = find(beside_demonstrator(load_study(study)), algorithm="BATD3")
+    assert row["reachable"] == "3 of 4"
+    assert row["κ of reachable"].value == pytest.approx(2 / 3)
+    assert row["length over the demonstrator's"] == 0.8  # on the one that both reach, 100 of 125 steps
 
 
 def test_generalization(study: Path) -> None:
