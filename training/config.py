@@ -54,7 +54,7 @@ class Learner:
     """Between the clone's action and the policy's in BATD3's target. softmax: eq. (6). scaled: eq. (6) with the two
     values' difference in units of its own standard deviation over the batch. hard: the action of the higher value."""
     clip_targets: bool = False
-    """Clip targets to [0, 1], where a sparse terminal reward's values lie."""
+    """Clip targets to [0, 1], where a sparse reward's values lie."""
     saturation_penalty: float = 0.0
     """Weight in the actor's loss of (|z| - 3)^2 where its output tanh(z) is saturated, |z| > 3. Good commands here
     are nearly on and off; without it, a cable that is off early on may never get a gradient again."""
@@ -142,8 +142,7 @@ OWN: dict[str, dict[PresetName, dict[str, Any]]] = {
 TASK_OWN: dict[str, dict[str, Any]] = {
     # Twice as long, and an arm that is shaken as exploration shakes it hardly ever comes to rest.
     "capture": {"discount": 0.997, "noise_ladder": True},
-    # Every action on target pays, so values go beyond 1.
-    "follow": {"clip_targets": False},
+    "follow": {"noise_ladder": True},
 }
 """What the preset `tuned` has of its own for tasks that are no kind of reaching, by the first word of their names."""
 

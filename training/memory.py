@@ -27,13 +27,15 @@ class Memory:
         learner: the learner's numbers.
         clone: from observations (n, 23 + C) to the behaviour clone's actions (n, C), once for each observation, so
             that no update computes them again; None where nobody asks for them.
-        task: says to hindsight what success is.
+        task: says to hindsight what success is. Where it does not end an episode, every action on target pays, and a
+            sparse reward is stored times 1 - discount: values then lie in [0, 1], as they do elsewhere.
     """
 
     def __init__(
         self, robot: Robot, learner: Learner, clone: Callable[[Array], NDArray[np.float32]] | None, task: Task
     ) -> None:
         self._learner, self._clone, self._task = learner, clone, task
+        self._pay = 1.0 if task.ends or task.reward_kind != "sparse" else 1 - learner.discount
 
         def replay() -> Replay:
             size = observation_size(robot)
@@ -78,5 +80,5 @@ class Memory:
 
     def _store(self, replay: Replay, episode: FinishedEpisode) -> None:
         clone = None if self._clone is None else self._clone(episode.observations)
-        rewards = episode.rewards - self._learner.step_cost
+        rewards = self._pay * episode.rewards - self._learner.step_cost
         replay.add_episode(episode.observations, episode.actions, rewards, episode.terminated, clone)

@@ -65,11 +65,8 @@ class Run:
         # What is misspelt or does not fit must not leave a folder behind.
         load_backend(config.backend)
         make_space(config.space, self.robot)
-        if config.learner.clip_targets and not make_task(config.task).ends:
-            raise CdcsrError(
-                f"clip_targets holds values to [0, 1], which is right only where success ends an episode, and "
-                f"{config.task!r} pays for every action on target; give --learner.no-clip-targets."
-            )
+        if config.learner.discount == 1 and not make_task(config.task).ends:
+            raise CdcsrError(f"discount must be below 1 for {config.task!r}, which pays for every action on target.")
         self.reward: Reward = "sparse" if config.algorithm == "bc" else ALGORITHMS[config.algorithm].reward
         self.episodes = self._demonstrations()
         claim_folder(self.folder, {**config.identity(), "fingerprint": self.robot.fingerprint}, config.force)

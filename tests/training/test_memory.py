@@ -65,6 +65,20 @@ def test_successes_are_kept_only_if_asked() -> None:
         assert memory.replays["replay"].size == 32
 
 
+@pytest.mark.parametrize(("task", "reward", "stored"), [("reach", None, 1.0), ("follow-line", None, 0.25),
+                                                         ("follow-line", "dense", 1.0)])  # fmt: skip
+def test_values_of_a_task_that_does_not_end_stay_below_one(task: str, reward: str | None, stored: float) -> None:
+    learner = Learner(batch_size=4, capacity=100, discount=0.75)
+    memory = Memory(_ROBOT, learner, _clone, make_task(task, reward_kind=reward))
+    rewards = np.ones(40)
+    episode = dataclasses.replace(_episode(40, 1.0), rewards=rewards, terminated=False)
+    memory.begin([episode])
+    rows = memory.replays["replay"].rows
+    np.testing.assert_allclose(rows["reward"][:40], stored)
+    # On target for ever is worth 1: r + gamma r + ... = r / (1 - gamma).
+    assert rows["outcome"][0] == pytest.approx(stored / 0.25, rel=1e-4)
+
+
 @pytest.mark.parametrize("seed", range(20))
 def test_hindsight_against_brute_force(seed: int) -> None:
     rng = np.random.default_rng(seed)

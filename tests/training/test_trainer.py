@@ -163,9 +163,10 @@ def test_preset_decides_defaults_and_options_override_them() -> None:
     assert Train.defaults(["--space", "anchor"]).learner == PRESETS["tuned"]
 
 
-def test_values_of_a_task_that_does_not_end_are_not_clipped(tmp_path: Path, demonstrations: Path) -> None:
-    with pytest.raises(CdcsrError, match=r"'follow-line' pays for every action .* --learner\.no-clip-targets"):
-        train(_config(tmp_path / "run", demonstrations, task="follow-line"))
+def test_a_task_that_does_not_end_is_discounted(tmp_path: Path, demonstrations: Path) -> None:
+    learner = dataclasses.replace(_SMALL, discount=1.0)
+    with pytest.raises(CdcsrError, match="discount must be below 1 for 'follow-line'"):
+        train(_config(tmp_path / "run", demonstrations, task="follow-line", learner=learner))
     assert not (tmp_path / "run").exists()
 
 
@@ -179,4 +180,4 @@ def test_what_the_tuned_preset_has_for_other_tasks() -> None:
     assert Train.defaults(["--task", "capture-drift", "--algorithm", "td3"]).learner.discount == 0.997
     assert Train.defaults(["--task", "capture", "--preset", "paper"]).learner == PRESETS["paper"]
     assert Train.defaults(["--task=precise"]).learner == PRESETS["tuned"]
-    assert not learner_for("batd3", "tuned", "follow-line").clip_targets
+    assert learner_for("batd3", "tuned", "follow-line").noise_ladder
