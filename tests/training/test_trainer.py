@@ -176,8 +176,9 @@ def test_a_learner_that_is_not_given_is_the_algorithms_own() -> None:
     assert Train(out=Path("x"), algorithm="clasp", learner=Learner()).learner == Learner()
 
 
-def test_what_the_tuned_preset_has_for_other_tasks() -> None:
-    assert Train.defaults(["--task", "capture-drift", "--algorithm", "td3"]).learner.discount == 0.997
-    assert Train.defaults(["--task", "capture", "--preset", "paper"]).learner == PRESETS["paper"]
-    assert Train.defaults(["--task=precise"]).learner == PRESETS["tuned"]
-    assert learner_for("batd3", "tuned", "follow-line").noise_ladder
+def test_what_an_algorithm_has_of_its_own_for_a_task() -> None:
+    assert Train.defaults(["--task", "capture-drift", "--algorithm", "clasp"]).learner.discount == 0.997
+    assert Train.defaults(["--task", "capture", "--algorithm", "clasp", "--preset", "paper"]).learner.discount == 0.99
+    assert Train.defaults(["--task=capture"]).learner == PRESETS["tuned"]
+    assert learner_for("clasp", "tuned", "follow-line").anchor_floor == 0.7
+    assert learner_for("clasp", "tuned", "precise") == learner_for("clasp", "tuned")

@@ -88,9 +88,11 @@ def test_a_dense_reward_is_not_clipped(make: Make, small_batch: Batch) -> None:
         assert loss == pytest.approx(((values - target) ** 2).mean().item(), rel=1e-5)
 
 
-@pytest.mark.parametrize(("updates", "weight"), [(0, 2.0), (250, 1.0), (500, 0.0), (900, 0.0)])
+@pytest.mark.parametrize(("updates", "weight"), [(0, 2.0), (250, 1.2), (500, 0.4), (900, 0.4)])
 def test_clasp_lets_go_of_the_clone_linearly(make: Make, small_batch: Batch, updates: int, weight: float) -> None:
-    clasp = make(CLASP, critics=1, target_critics=1, clone_anchor=2.0, anchor_updates=500, scaled_values=True)
+    clasp = make(
+        CLASP, critics=1, target_critics=1, clone_anchor=2.0, anchor_updates=500, anchor_floor=0.4, scaled_values=True
+    )
     clasp.updates = updates
     encoded = clasp.actor.encoder(small_batch.observation)
     with torch.no_grad():

@@ -17,7 +17,7 @@ class CLASP(TD3):
     The replay buffer begins as BATD3's does, with the demonstrations and the clone's successes. The clone does not
     assist targets, though, but the actor, which starts as the clone (`clone_start`) and has two more terms in its loss:
 
-    - w |pi(s) - a_BC(s)|^2, w falling linearly from `clone_anchor` to zero;
+    - w |pi(s) - a_BC(s)|^2, w falling linearly from `clone_anchor` to `anchor_floor`;
     - `self_imitation` (G - V)+ |pi(s) - a|^2, where G is the discounted return that followed (s, a) and V what a critic
       expects of pi(s): self-imitation learning (Oh et al. 2018, eq. 2). Exploration noise shakes the arm off the paths
       it knows, and this shows it which of the ways back were good ones. It fades as nothing is better any more.
@@ -37,7 +37,8 @@ class CLASP(TD3):
         loss = -value.mean()
         if self.learner.scaled_values:
             loss = loss / expected.abs().mean().clamp_min(1e-3)
-        weight = self.learner.clone_anchor * max(0.0, 1 - self.updates / self.learner.anchor_updates)
+        learner, left = self.learner, max(0.0, 1 - self.updates / self.learner.anchor_updates)
+        weight = learner.anchor_floor + left * (learner.clone_anchor - learner.anchor_floor)
         if weight > 0:
             loss = loss + weight * _distance(action, batch.bc_action).mean()
         if self.learner.self_imitation > 0:

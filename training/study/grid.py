@@ -123,10 +123,16 @@ def fig6(budget: Budget) -> Iterator[Cell]:
     """Fig. 6: following a target that moves, and what the base does meanwhile."""
     yield _scripted(), ("follow",)
     yield _scripted(task="capture"), ("follow",)
+    yield _scripted(task="follow-random"), ("nominal", "follow")
     for seed in range(budget.seeds):
-        for task, space in (("reach", "spatter"), ("reach", "anchor"), ("capture", "anchor")):
+        for task, space in (
+            ("follow-random", "anchor"),
+            ("reach", "spatter"),
+            ("reach", "anchor"),
+            ("capture", "anchor"),
+        ):
             for algorithm in ("batd3", OURS, "bc"):
-                yield _spec(budget, algorithm, space, seed, task=task), ("follow",)
+                yield _spec(budget, algorithm, space, seed, task=task), ("nominal", "follow")
 
 
 def transfer(budget: Budget) -> Iterator[Cell]:
