@@ -171,6 +171,7 @@ def batch(robot: Robot, count: int = 16) -> Batch:
     return Batch(
         torch.randn(count, size), torch.rand(count, cables) * 2 - 1, torch.rand(count), torch.full((count,), 0.9),
         torch.randn(count, size), torch.rand(count, cables) * 2 - 1, torch.rand(count, cables) * 2 - 1,
+        torch.rand(count),
     )  # fmt: skip
 
 
