@@ -121,6 +121,7 @@ def test_only_what_somebody_reaches_counts_beside_the_demonstrator(tmp_path: Pat
     # Nobody reaches the last target; the third only one that is no seed of this setting, in the other engine.
     write_run(study, "own", {"nominal": [nominal("1100"), nominal("1100", backend="pybullet")]})
     write_run(study, "other", {"nominal": [nominal("1010", backend="pybullet")]}, algorithm="bc", randomize=1.0)
+    write_run(study, "fewer", {"nominal": [nominal("1111")]}, demonstrations=3)  # its targets may lie elsewhere
     shown = write_run(study, "jacobian", {"nominal": [nominal("0100")]}, algorithm="jacobian")
     write_csv(
         shown / "nominal.csv", HEAD, [["mujoco", "anchor", "nominal", 0, i, int(i == 1), 125, 0.01] for i in range(4)]

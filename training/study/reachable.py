@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from training.study.cells import COST, TRAINED, Table, Value, cost, measure, trained
-from training.study.records import JACOBIAN, SPACES, Episodes, Run, at_home, grouped
+from training.study.records import DEMONSTRATIONS, JACOBIAN, SPACES, Episodes, Run, at_home, grouped
 from training.study.statistics import rate
 from training.study.tables import basis
 
@@ -46,11 +46,14 @@ def beside_demonstrator(runs: Sequence[Run]) -> Table:
 
 
 def reachable(runs: Sequence[Run], space: str) -> NDArray[np.int64]:
-    """The held-out targets of a space of the paper that any run reaches, undisturbed, in any engine."""
+    """The held-out targets of a space of the paper that any run reaches, undisturbed, in any engine.
+
+    Only runs with as many demonstrations as the paper's: Floating and Spatter lie around the demonstrations' targets.
+    """
     found = [
         episodes.episode[episodes.success]
         for run in runs
-        if run.setting.of_paper and "nominal" in run.evaluations
+        if run.setting.of_paper and run.setting.demonstrations == DEMONSTRATIONS and "nominal" in run.evaluations
         for episodes in [run.evaluations["nominal"].where(space=space)]
     ]
     return np.unique(np.concatenate(found)) if found else np.empty(0, np.int64)
