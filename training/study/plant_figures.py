@@ -28,6 +28,8 @@ _FOLLOWED = {
     "tip_error": ("tip to target [mm]", 1000.0, 30.0),
 }
 """Title, factor to its unit, and the paper's bound in it (section V-F; for the tip, the distance of success)."""
+_ROOM = 4
+"""How many times its bound an error may be and still be drawn: one that loses the target must not hide the others."""
 _COLUMNS = 4
 
 
@@ -57,7 +59,7 @@ def follow_figures(runs: Sequence[Run], out: Path) -> Iterator[tuple[str, str]]:
                     for setting, group in groups.items():
                         _followed(axes, setting, group, engine, motion, name, factor)
                     axes.axhline(bound, color=SOFT, lw=1.2, ls=":", label="bound")
-                    axes.set_ylim(bottom=0)
+                    axes.set_ylim(0, min(axes.get_ylim()[1], _ROOM * bound))
                     axes.grid(axis="y")
             for axes, motion in zip(grid[0], motions, strict=True):
                 axes.set_title(motion)
@@ -69,7 +71,8 @@ def follow_figures(runs: Sequence[Run], out: Path) -> Iterator[tuple[str, str]]:
             (
                 f"Fig. 6: following a moving target; trained to {task} in {SPACES.get(space, space)} Space in {title},"
                 f" {amount(map(len, groups.values()), 'seed')}. Mean over episodes and seeds, and the range of"
-                " nine tenths; dotted, the paper's bounds on the base, and the distance that is success."
+                " nine tenths; dotted, the paper's bounds on the base, and the distance that is success; what leaves a"
+                f" panel is more than {_ROOM} times that."
             ),
         )
 
