@@ -65,7 +65,8 @@ class Run:
         # What is misspelt or does not fit must not leave a folder behind.
         load_backend(config.backend)
         make_space(config.space, self.robot)
-        if config.learner.discount == 1 and not make_task(config.task).ends:
+        task = make_task(config.task)
+        if config.learner.discount == 1 and not task.ends:
             raise CdcsrError(f"discount must be below 1 for {config.task!r}, which pays for every action on target.")
         self.reward: Reward = "sparse" if config.algorithm == "bc" else ALGORITHMS[config.algorithm].reward
         self.episodes = self._demonstrations()
