@@ -206,3 +206,26 @@ def test_the_command_lists_and_refuses(tmp_path: Path, capsys: pytest.CaptureFix
     assert code == 2
     assert f"1 runs in {tmp_path / 'runs'} were begun and not finished, the first is {begun.name}" in text
     assert not (tmp_path / "results").exists()
+
+
+def test_the_command_takes_no_results_of_another_learner(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    (name,) = [name for name in collect(["table4"], BUDGETS["quick"]) if name.startswith("bc-tuned_anchor")]
+    record = tmp_path / name / "run.json"
+    arguments = [
+        "table4",
+        "--budget",
+        "quick",
+        "--only",
+        name,
+        "--runs",
+        str(tmp_path / "runs"),
+        "--results",
+        str(tmp_path),
+    ]
+    write_json(record, {"learner": {"discount": 0.5}})
+    assert run(experiments, "training.experiments", arguments) == 2
+    assert "other numbers of the learner (discount 0.5, now 0.99)" in capsys.readouterr().err
+    record.write_text("{", "utf-8")
+    assert run(experiments, "training.experiments", arguments) == 2
+    assert "cannot be read" in capsys.readouterr().err
+    assert not (tmp_path / "runs").exists()

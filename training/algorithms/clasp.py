@@ -31,19 +31,20 @@ class CLASP(TD3):
     uses_rollouts: ClassVar[bool] = True
 
     def policy_loss(self, encoded: Tensor, action: Tensor, batch: Batch) -> Tensor:
-        judge = int(torch.randint(self.learner.critics, (), generator=self._generator))
+        learner = self.learner
+        judge = int(torch.randint(learner.critics, (), generator=self._generator))
         value = self.critics(encoded, action, [judge])[0]
         expected = value.detach()
         loss = -value.mean()
-        if self.learner.scaled_values:
+        if learner.scaled_values:
             loss = loss / expected.abs().mean().clamp_min(1e-3)
-        learner, left = self.learner, max(0.0, 1 - self.updates / self.learner.anchor_updates)
+        left = max(0.0, 1 - self.updates / learner.anchor_updates)
         weight = learner.anchor_floor + left * (learner.clone_anchor - learner.anchor_floor)
         if weight > 0:
             loss = loss + weight * _distance(action, batch.bc_action).mean()
-        if self.learner.self_imitation > 0:
+        if learner.self_imitation > 0:
             better = (batch.outcome - expected).clamp_min(0)
-            loss = loss + self.learner.self_imitation * (_distance(action, batch.action) * better).mean()
+            loss = loss + learner.self_imitation * (_distance(action, batch.action) * better).mean()
         return loss
 
 

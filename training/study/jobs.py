@@ -56,11 +56,17 @@ class Job:
         return (results / self.name / RECORD).is_file() and not self.missing(results)
 
     def changed(self, results: Path) -> list[str]:
-        """Numbers of the learner that the results there were made with, and that are others now."""
+        """Numbers of the learner that the results there were made with, and that are others now.
+
+        Raises:
+            CdcsrError: the record cannot be read.
+        """
+        from training.study.records import read_json
+
         path = results / self.name / RECORD
         if not path.is_file():
             return []
-        recorded = json.loads(path.read_text(encoding="utf-8")).get("learner", {})
+        recorded = read_json(path).get("learner", {})
         now = json.loads(json.dumps(asdict(self.spec.learner)))
         return [f"{name} {value}, now {now.get(name)}" for name, value in recorded.items() if now.get(name) != value]
 

@@ -135,7 +135,7 @@ def load_expected(folder: Path) -> dict[str, list[str]] | None:
     path = folder / "expected.json"
     if not path.is_file():
         return None
-    data = _read_json(path)
+    data = read_json(path)
     if not all(isinstance(names, list) and all(isinstance(x, str) for x in names) for names in data.values()):
         raise CdcsrError(f"{path} should map each experiment to a list of names of runs.")
     return data
@@ -162,7 +162,7 @@ def at_home(runs: Sequence[Run], space: str) -> list[Run]:
 
 def _load_run(folder: Path) -> Run:
     path = folder / "run.json"
-    data = _read_json(path)
+    data = read_json(path)
     try:
         spec = data["spec"]
         setting = Setting(
@@ -252,7 +252,12 @@ def _read_columns(path: Path, kinds: Mapping[str, Callable[[str], Any]]) -> dict
         raise CdcsrError(f"{path} has a row that does not fit its columns ({error}); make it again.") from None
 
 
-def _read_json(path: Path) -> dict[str, Any]:
+def read_json(path: Path) -> dict[str, Any]:
+    """The object in a JSON file.
+
+    Raises:
+        CdcsrError: there is none.
+    """
     try:
         data = json.loads(path.read_text("utf-8"))
     except (OSError, ValueError) as error:
