@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import random
 import subprocess
 import sys
 import threading
@@ -12,6 +13,7 @@ from pathlib import Path
 
 import pytest
 
+from training.study import locks
 from training.study.locks import STALE_AFTER, Busy, is_held, lock
 
 
@@ -57,7 +59,17 @@ def test_a_holder_on_another_machine_is_believed_as_long_as_it_shows_life(tmp_pa
         assert "elsewhere" not in path.read_text()
 
 
-def test_a_dead_lock_is_taken_by_one_only(tmp_path: Path) -> None:
+@pytest.mark.parametrize("seed", range(5))
+def test_a_dead_lock_is_taken_by_one_only(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, seed: int) -> None:
+    """Also where time passes between seeing that a lock is dead and taking it over."""
+    draw, judge = random.Random(seed), locks._is_stale
+
+    def slowly(path: Path) -> bool:
+        stale = judge(path)
+        time.sleep(draw.uniform(0, 0.02))
+        return stale
+
+    monkeypatch.setattr(locks, "_is_stale", slowly)
     path, holders, most = tmp_path / "run.lock", list[int](), list[int]()
     path.write_text(json.dumps({"pid": 2**22 + 1, "host": os.uname().nodename, "started": "0", "token": "x"}))
     start = threading.Barrier(8)
@@ -79,3 +91,14 @@ def test_a_dead_lock_is_taken_by_one_only(tmp_path: Path) -> None:
     for thread in threads:
         thread.join()
     assert most == [1]
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_lock_whose_taker_died_as_well_is_taken_over(tmp_path: Path) -> None:
+    path = tmp_path / "run.lock"
+    dead = json.dumps({"pid": 2**22 + 1, "host": os.uname().nodename, "started": "0", "token": "x"})
+    path.write_text(dead)
+    (tmp_path / ".run.lock.next").write_text(dead)
+    with lock(path):
+        assert is_held(path)
+    assert list(tmp_path.iterdir()) == []

@@ -63,29 +63,41 @@ def is_held(path: Path) -> bool:
 
 
 def _take(path: Path, mine: Path) -> None:
-    """Give `mine` the name `path`. A link is made or not made, at once, also on a network's file system."""
+    """Give `mine` the name `path`. A link is made or not made, at once, also on a network's file system.
+
+    A dead lock is replaced, also at once, by the one who holds another lock, whose turn it is to do so. Nobody else
+    may, and the dead does not, so what he has seen dead is what he replaces. Had he died at it, his turn is taken over
+    likewise.
+
+    Raises:
+        Busy: a live process holds it, or is taking it over.
+    """
     for _ in range(10):
         with suppress(FileExistsError):
             path.hardlink_to(mine)
             return
-        if not _is_stale(path):
-            break
-        # Moved aside first: of several that find it dead one moves it. Had another taken it over in between,
-        # this would be its live lock, and goes back.
-        aside = mine.with_name(mine.name + ".stale")
-        try:
-            path.rename(aside)
-        except FileNotFoundError:
-            continue
-        if not _is_stale(aside):
-            with suppress(FileExistsError):
-                path.hardlink_to(aside)
-        aside.unlink()
+        if _is_stale(path):
+            turn = path.with_name(f".{path.name}.next")
+            own = mine.with_name(f"{mine.name}.next")  # a second name, as the first is used up where it replaces
+            own.hardlink_to(mine)
+            try:
+                _take(turn, own)
+            finally:
+                own.unlink(missing_ok=True)
+            try:
+                if _is_stale(path):
+                    mine.replace(path)
+                    return
+            finally:
+                turn.unlink()
+        elif path.exists():
+            break  # else it was given back just now
     holder = _holder(path)
     raise Busy(f"{path} is held by the live process {holder.get('pid')} on {holder.get('host')}.")
 
 
 def _is_stale(path: Path) -> bool:
+    """Whether there is a lock whose holder is dead."""
     holder = _holder(path)
     if holder.get("host") == socket.gethostname():
         pid = holder.get("pid")
@@ -95,7 +107,7 @@ def _is_stale(path: Path) -> bool:
         probe.touch()  # the clock of the file system, not of this machine
         return probe.stat().st_mtime - path.stat().st_mtime > STALE_AFTER
     except FileNotFoundError:
-        return True
+        return False
     finally:
         probe.unlink(missing_ok=True)
 
