@@ -106,8 +106,10 @@ def test_two_jobs_side_by_side_and_one_that_fails(tmp_path: Path, capsys: pytest
 def test_the_jobs_of_a_killed_executor_end_and_are_taken_over(tmp_path: Path) -> None:
     job = tiny_job(100_000)
     code = (
-        "import sys; from pathlib import Path; from training.study.jobs import Job; "
+        "import signal, sys; from pathlib import Path; from training.study.jobs import Job; "
         "from training.study.local import carry_out_here; "
+        # Tests that a shell runs in the background have Ctrl-C ignored, and their children inherit that.
+        "signal.signal(signal.SIGINT, signal.default_int_handler); "
         "carry_out_here([Job.from_json(sys.argv[1])], Path(sys.argv[2]), Path(sys.argv[3]), 1)"
     )
     runs, results = tmp_path / "runs", tmp_path / "results"

@@ -40,19 +40,19 @@ def lock(path: Path) -> Iterator[None]:
     token = uuid.uuid4().hex
     holder = {"pid": os.getpid(), "host": socket.gethostname(), "started": _started(os.getpid()), "token": token}
     mine = path.with_name(f".{path.name}.{token[:8]}")
-    try:
-        mine.write_text(json.dumps(holder))
-        _take(path, mine)
-    finally:
-        mine.unlink(missing_ok=True)
     done = threading.Event()
     beat = threading.Thread(target=_keep_alive, args=(path, done), daemon=True)
-    beat.start()
-    try:
+    try:  # a signal may end this process anywhere in here
+        mine.write_text(json.dumps(holder))
+        _take(path, mine)
+        mine.unlink(missing_ok=True)  # now, as a killed process leaves it otherwise
+        beat.start()
         yield
     finally:
         done.set()
-        beat.join()
+        if beat.is_alive():
+            beat.join()
+        mine.unlink(missing_ok=True)
         if _holder(path).get("token") == token:
             path.unlink(missing_ok=True)
 
