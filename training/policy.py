@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import json
 from copy import copy
 from importlib import resources
@@ -53,6 +54,14 @@ class Policy(Controller):
         """The task it was trained for."""
         return str(self.card.get("task", "reach"))
 
+    @property
+    def digest(self) -> str:
+        """Of the weights: equal for policies that act alike to the bit."""
+        return hashlib.sha256(save(self._weights())).hexdigest()[:16]
+
+    def _weights(self) -> dict[str, torch.Tensor]:
+        return {name: tensor.contiguous() for name, tensor in self.actor.state_dict().items()}
+
     def act(self, env: ReachVectorEnv, observation: Array, active: NDArray[np.bool_]) -> Array:  # noqa: ARG002
         if env.robot is not self._checked:
             self._check(env.robot)
@@ -97,8 +106,7 @@ class Policy(Controller):
             },
             "versions": versions(),
         }
-        weights = {name: tensor.contiguous() for name, tensor in actor.state_dict().items()}
-        write_bytes(folder / _WEIGHTS, save(weights))
+        write_bytes(folder / _WEIGHTS, save(self._weights()))
         write_json(folder / _CARD, card)
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import shutil
 from collections import Counter
 from dataclasses import asdict, replace
 from pathlib import Path
@@ -149,6 +150,30 @@ def test_a_record_that_is_missing_is_not_done(tmp_path: Path, quick_evaluation: 
     assert job.is_done(results)
     assert quick_evaluation == {"jacobian nominal": 1}
     assert sorted(path.name for path in (results / job.name).iterdir()) == ["nominal.csv", "run.json"]
+
+
+def test_results_are_of_one_policy(tmp_path: Path, quick_evaluation: Counter[str]) -> None:
+    """Where results went to another machine without the policy, which is then trained anew, and rounded otherwise."""
+    runs, results = tmp_path / "runs", tmp_path / "results"
+    job, both = tiny_job(), tiny_job(evaluations=("nominal", "disturbances"))
+    record = results / job.name / "run.json"
+    jobs.carry_out(job, runs, results)
+    shutil.rmtree(runs)
+    jobs.carry_out(both, runs, results)
+    assert quick_evaluation == {"td3 nominal": 1, "td3 disturbances": 1}, "the same to the bit"
+    (results / job.name / "disturbances.csv").unlink()
+    write_json(record, json.loads(record.read_text()) | {"policy": "another"})
+    jobs.carry_out(both, runs, results)
+    assert quick_evaluation == {"td3 nominal": 2, "td3 disturbances": 2}
+    record.unlink()
+    (results / job.name / "disturbances.csv").unlink()
+    jobs.carry_out(both, runs, results)
+    assert quick_evaluation == {"td3 nominal": 2, "td3 disturbances": 3}, "killed when half done"
+    shutil.rmtree(runs)
+    record.unlink()
+    (results / job.name / "disturbances.csv").unlink()
+    jobs.carry_out(both, runs, results)
+    assert quick_evaluation == {"td3 nominal": 3, "td3 disturbances": 4}
 
 
 def test_results_of_another_learner_are_not_taken_for_done(tmp_path: Path) -> None:

@@ -26,6 +26,8 @@ from training.study.spec import RunSpec
 RECORD = "run.json"
 """Written last: a run whose record is there has a policy, and a learning curve if it learns."""
 METRICS = "metrics.csv"
+SUMMARY = "summary.json"
+"""Of a run's folder: there once it is finished."""
 ROBOT = "paper"
 
 
@@ -72,7 +74,7 @@ class Job:
 
     def is_begun(self, runs: Path) -> bool:
         """Whether its training has begun, and not ended."""
-        return (runs / self.name / "config.json").is_file() and not (runs / self.name / "summary.json").is_file()
+        return (runs / self.name / "config.json").is_file() and not (runs / self.name / SUMMARY).is_file()
 
     def command(self, runs: Path, results: Path) -> list[str]:
         """The command line of a process that does it, and ends when its standard input does."""
@@ -143,8 +145,11 @@ def _work(job: Job, missing: list[str], out: Path, folder: Path) -> None:
     spec, card = job.spec, {}
     _sweep(folder)
     if spec.trains:
+        finished = (out / SUMMARY).is_file()
         policy = _train(job, out)
         subject, card = Subject(spec, policy, policy.robot), policy.card
+        if not _is_of(folder, policy.digest, finished):
+            missing = [name for name in EVALUATIONS if name in missing or (folder / f"{name}.csv").is_file()]
         if (out / METRICS).is_file():  # the behaviour clone alone has no learning curve
             write_bytes(folder / METRICS, (out / METRICS).read_bytes())
     else:
@@ -156,6 +161,23 @@ def _work(job: Job, missing: list[str], out: Path, folder: Path) -> None:
     write_json(folder / RECORD, _record(job, subject, card))
 
 
+def _is_of(folder: Path, digest: str, finished: bool) -> bool:
+    """Whether the results there are of this policy. A run's results are of one policy, or they are made again.
+
+    Results go from machine to machine and policies do not; where only the results are, a policy that is trained for
+    another evaluation is not quite the one they are of, as processors round differently.
+
+    Args:
+        folder: of the run's results.
+        digest: of the policy.
+        finished: it was there, not trained just now.
+    """
+    from training.study.records import read_json
+
+    path = folder / RECORD
+    return read_json(path).get("policy") == digest if path.is_file() else finished
+
+
 def _train(job: Job, out: Path) -> Any:
     """The policy of the run, trained as far as that is still to be done."""
     from dataclasses import replace
@@ -163,7 +185,7 @@ def _train(job: Job, out: Path) -> Any:
     from training.policy import load_policy
     from training.trainer import train
 
-    if (out / "summary.json").is_file():
+    if (out / SUMMARY).is_file():
         return load_policy(out)
     budget = job.budget
     # At most 40 points on a learning curve, and as many checkpoints.
@@ -183,6 +205,7 @@ def _record(job: Job, subject: Any, card: dict[str, Any]) -> dict[str, Any]:
     return {
         "spec": {**job.spec.as_dict(), "budget": job.budget.name},
         "learner": asdict(job.spec.learner) if job.spec.trains else {},
+        "policy": subject.controller.digest if job.spec.trains else None,
         "minutes": card.get("minutes", 0.0),
         "updates": card.get("updates", 0),
         "environment_steps": card.get("environment_steps", 0),
