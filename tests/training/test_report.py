@@ -130,6 +130,10 @@ def test_only_what_somebody_reaches_counts_beside_the_demonstrator(tmp_path: Pat
     assert row["reachable"] == "3 of 4"
     assert row["κ of reachable"].value == pytest.approx(2 / 3)
     assert row["length over the demonstrator's"] == 0.8  # on the one that both reach, 100 of 125 steps
+    best = write_run(study, "best", {"nominal": []}, algorithm="td3")
+    write_csv(best / "nominal.csv", HEAD, [["mujoco", "anchor", "nominal", 0, i, i % 2, 75, 0.01] for i in range(4)])
+    row = find(beside_demonstrator(load_study(study)), algorithm="best of all runs")
+    assert row["length over the demonstrator's"] == 0.6
 
 
 def test_generalization(study: Path) -> None:
