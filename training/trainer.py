@@ -70,7 +70,10 @@ class Run:
             raise CdcsrError(f"discount must be below 1 for {config.task!r}, which pays for every action on target.")
         self.reward: Reward = "sparse" if config.algorithm == "bc" else ALGORITHMS[config.algorithm].reward
         self.episodes = self._demonstrations()
-        claim_folder(self.folder, {**config.identity(), "fingerprint": self.robot.fingerprint}, config.force)
+        identity = {**config.identity(), "fingerprint": self.robot.fingerprint}
+        if config.demonstrations is not None:
+            identity["dataset"] = demonstrations.digest(self.episodes)  # another one may have come under the same name
+        claim_folder(self.folder, identity, config.force)
         self.centers = np.array([episode.target for episode in self.episodes])
         self.started = time.monotonic()
         self.minutes_before = 0.0

@@ -6,6 +6,7 @@ import csv
 import dataclasses
 import itertools
 import json
+import shutil
 from pathlib import Path
 from typing import Any
 
@@ -15,6 +16,7 @@ from safetensors.torch import load_file
 from tiny import FRAME_SKIP
 
 from cdcsr.errors import CdcsrError
+from controllers.commands import demonstrate
 from training.config import PRESETS, Learner, Train, learner_for
 from training.policy import load_policy
 from training.trainer import Run, train
@@ -103,6 +105,16 @@ def test_a_run_with_other_options_is_refused_and_kept(tmp_path: Path, demonstrat
     with pytest.raises(CdcsrError, match=r"other options \(learner\.discount, seed\)"):
         train(dataclasses.replace(config, seed=1, learner=dataclasses.replace(_SMALL, discount=0.9)))
     assert (out / "policy.safetensors").read_bytes() == before
+
+
+def test_a_run_with_another_dataset_under_the_same_name_is_refused(tmp_path: Path, demonstrations: Path) -> None:
+    data, out = tmp_path / "demonstrations", tmp_path / "run"
+    shutil.copytree(demonstrations, data)
+    train(_config(out, data, algorithm="bc"))
+    shutil.rmtree(data)
+    demonstrate(out=data, episodes=3, frame_skip=FRAME_SKIP, seed=1)
+    with pytest.raises(CdcsrError, match=r"other options \(dataset\)"):
+        train(_config(out, data, algorithm="bc"))
 
 
 @pytest.mark.parametrize(
