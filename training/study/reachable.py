@@ -20,7 +20,7 @@ _HEAD = ("space", "reachable", *TRAINED, "κ of reachable", "length over the dem
 def beside_demonstrator(runs: Sequence[Run]) -> Table:
     """Success on the held-out targets that somebody reaches in time, and lengths of episodes relative to the
     demonstrator's, in the space and engine of training."""
-    chosen = [run for run in runs if run.setting.plain]
+    chosen = [run for run in runs if run.setting.usual]
     rows: list[list[Value]] = []
     for space in SPACES:
         known = reachable(runs, space)

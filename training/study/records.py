@@ -58,8 +58,13 @@ class Setting:
     @property
     def plain(self) -> bool:
         """As the paper has it: its task and spaces, ten demonstrations, nothing switched, plants not randomized."""
-        usual = self.demonstrations == DEMONSTRATIONS or self.algorithm == JACOBIAN
-        return self.of_paper and usual and not self.switches and not self.randomize
+        return self.usual and not self.switches
+
+    @property
+    def usual(self) -> bool:
+        """The same, but for what may be switched in the learner."""
+        shown = self.demonstrations == DEMONSTRATIONS or self.algorithm == JACOBIAN
+        return self.of_paper and shown and not self.randomize
 
     @property
     def of_paper(self) -> bool:

@@ -100,7 +100,7 @@ def generalization(runs: Sequence[Run]) -> Table:
 
 def robustness(runs: Sequence[Run]) -> Table:
     """Table IV: success under disturbances, in the space and engine of training; level 0 is the nominal evaluation."""
-    chosen = [run for run in runs if run.setting.plain and "disturbances" in run.evaluations]
+    chosen = [run for run in runs if run.setting.usual and "disturbances" in run.evaluations]
     groups = grouped(chosen, "space")
     rows: list[list[Value]] = []
     for axis, letter in DISTURBANCES.items():
