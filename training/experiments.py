@@ -47,7 +47,7 @@ def experiments(
     """
     from cdcsr.errors import CdcsrError, CheckFailed, unknown_choice
     from cdcsr.files import write_json
-    from training.study.grid import BUDGETS, EXPERIMENTS, collect, expected
+    from training.study.grid import BUDGETS, EXPERIMENTS, collect
     from training.study.jobs import Job
 
     if not names and not list:
@@ -80,9 +80,8 @@ def experiments(
         if changed := job.changed(results):
             raise CdcsrError(
                 f"{results / job.name} was made with other numbers of the learner ({'; '.join(changed)}); "
-                "delete it to have it made again, or give another folder with --results."
+                f"delete it and {runs / job.name} to have it made again, or give other folders (--results, --runs)."
             )
-    write_json(results / "expected.json", expected(amounts))
     if executor == "ray":
         from training.study.ray_executor import carry_out_on_ray
 

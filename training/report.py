@@ -3,11 +3,17 @@
 from __future__ import annotations
 
 import sys
+from collections import Counter
+from collections.abc import Sequence
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from cdcsr.cli import run
 from cdcsr.errors import CdcsrError
 from cdcsr.files import new_folder, write_json, write_text
+
+if TYPE_CHECKING:
+    from training.study.records import Run
 
 PAGE = "README.md"
 
@@ -27,28 +33,37 @@ def report(
     from training.study.plant_figures import follow_figures, plant_figures
     from training.study.plants import check_axes
     from training.study.reachable import beside_demonstrator
-    from training.study.records import load_expected, load_study
+    from training.study.records import load_study
     from training.study.tables import all_tables
 
-    runs, expected = load_study(results), load_expected(results)
+    runs = load_study(results)
     if not runs:
         raise CdcsrError(f"{results} holds no finished run; make some with `python -m training.experiments`.")
     check_axes(runs)
     _refuse_other_folder(out)
-    paper, tables = list(beside_paper(runs, expected)), [*all_tables(runs), beside_demonstrator(runs)]
+    wanted = _expected(runs)
+    paper, tables = list(beside_paper(runs, wanted)), [*all_tables(runs), beside_demonstrator(runs)]
     with new_folder(out, force=True) as folder:
         figures = [*curve_figures(runs, folder), *follow_figures(runs, folder), *plant_figures(runs, folder)]
         for table in (*paper, *tables):
             write_text(folder / f"{table.name}.csv", table.csv())
-        write_text(folder / PAGE, page(runs, paper, tables, figures, expected))
+        write_text(folder / PAGE, page(runs, paper, tables, figures, wanted))
     if json is not None:
         write_json(json, {
             "runs": [one.name for one in runs],
             "tables": {table.name: table.as_dict() for table in (*paper, *tables)},
             "figures": dict(figures),
-            "not_run": None if expected is None else missing(runs, expected),
+            "not_run": None if wanted is None else missing(runs, wanted),
         })  # fmt: skip
     print(f"{out / PAGE}: {len(runs)} runs, {len(paper) + len(tables)} tables, {len(figures)} figures")
+
+
+def _expected(runs: Sequence[Run]) -> dict[str, list[str]] | None:
+    """Names of the runs each experiment has in the budget that most runs have been made with; None if it is unknown."""
+    from training.study.grid import BUDGETS, expected
+
+    (budget, _), *_ = Counter(one.budget for one in runs).most_common()
+    return expected(BUDGETS[budget]) if budget in BUDGETS else None
 
 
 def _refuse_other_folder(out: Path) -> None:

@@ -31,9 +31,9 @@ def claim_folder(folder: Path, identity: dict[str, Any], force: bool) -> None:
             if any(not entry.name.startswith(".") for entry in folder.iterdir()):
                 raise CdcsrError(f"{folder} exists and is not a training run; give another folder.")
         else:
-            _refuse_other_run(path, identity)
+            refuse_other_run(path, identity)
     if force:
-        for name in ("summary.json", "state.safetensors", "metrics.csv"):
+        for name in ("summary.json", "state.safetensors", "metrics.csv", "policy.json", "policy.safetensors"):
             (folder / name).unlink(missing_ok=True)
         for old in (folder / "tensorboard").glob("events.*"):
             old.unlink()
@@ -45,7 +45,12 @@ def claim_folder(folder: Path, identity: dict[str, Any], force: bool) -> None:
     write_json(path, identity)
 
 
-def _refuse_other_run(path: Path, identity: dict[str, Any]) -> None:
+def refuse_other_run(path: Path, identity: dict[str, Any]) -> None:
+    """Make sure that the run whose `config.json` this is has that identity.
+
+    Raises:
+        CdcsrError: it has another, or the file cannot be read.
+    """
     try:
         found = json.loads(path.read_text("utf-8"))
     except (OSError, ValueError) as error:

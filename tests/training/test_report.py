@@ -190,11 +190,16 @@ def test_table_as_text_and_numbers() -> None:
     table = Table("t", "T", "", ("a", "κ"), [["x", Estimate(0.5, 0.25, 0.75, "episodes")], ["y", None]])
     assert table.markdown().splitlines()[2:] == ["| x | 0.50 [0.25, 0.75]* |", "| y | not run            |"]
     assert table.csv() == "a,κ,κ low,κ high\nx,0.5,0.25,0.75\ny,,,\n"
+    # Where a column does not begin with its estimates.
+    table = Table("t", "T", "", ("κ", "b"), [["-", 1], [Estimate(0.5, 0.25, 0.75, "seeds"), 2]])
+    assert table.csv() == "κ,κ low,κ high,b\n,,,1\n0.5,0.25,0.75,2\n"
 
 
-def test_report_is_whole_and_replaces_only_reports(study: Path, tmp_path: Path) -> None:
+def test_report_is_whole_and_replaces_only_reports(
+    study: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     expected = {"table2": ["batd3-tuned_spatter_mujoco_d10_u1000_s0", "her_s0", "her_s1"]}
-    (study / "expected.json").write_text(json.dumps(expected), "utf-8")
+    monkeypatch.setattr("training.study.grid.expected", lambda budget: expected if budget.name == "quick" else {})
     out, data = tmp_path / "report", tmp_path / "report.json"
     report(results=study, out=out, json=data)
     text = (out / "README.md").read_text("utf-8")

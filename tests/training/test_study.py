@@ -177,6 +177,46 @@ def test_results_are_of_one_policy(tmp_path: Path, quick_evaluation: Counter[str
     assert quick_evaluation == {"td3 nominal": 3, "td3 disturbances": 4}
 
 
+def test_results_are_of_one_policy_if_making_them_again_is_interrupted(
+    tmp_path: Path, quick_evaluation: Counter[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    runs, results = tmp_path / "runs", tmp_path / "results"
+    job = tiny_job(evaluations=("nominal", "disturbances"))
+    record = results / job.name / "run.json"
+    jobs.carry_out(job, runs, results)
+    write_json(record, json.loads(record.read_text()) | {"policy": "another"})
+    (results / job.name / "nominal.csv").unlink()
+    whole = evaluations.EVALUATIONS["disturbances"]
+
+    def killed(*_: object) -> list[tuple[object, ...]]:
+        raise KeyboardInterrupt
+
+    monkeypatch.setitem(evaluations.EVALUATIONS, "disturbances", replace(whole, measure=killed))
+    with pytest.raises(KeyboardInterrupt):
+        jobs.carry_out(job, runs, results)
+    monkeypatch.setitem(evaluations.EVALUATIONS, "disturbances", whole)
+    assert not job.is_done(results)
+    jobs.carry_out(job, runs, results)
+    assert job.is_done(results)
+    assert quick_evaluation["td3 disturbances"] == 2
+    assert quick_evaluation["td3 nominal"] in (2, 3)
+
+
+def test_a_policy_that_was_trained_with_other_numbers_is_not_measured(
+    tmp_path: Path, quick_evaluation: Counter[str]
+) -> None:
+    runs, results = tmp_path / "runs", tmp_path / "results"
+    job = tiny_job()
+    jobs.carry_out(job, runs, results)
+    shutil.rmtree(results)
+    path = runs / job.name / "config.json"
+    config = json.loads(path.read_text())
+    write_json(path, config | {"learner": config["learner"] | {"discount": 0.5}})
+    with pytest.raises(CdcsrError, match=r"learner\.discount"):
+        jobs.carry_out(job, runs, results)
+    assert quick_evaluation["td3 nominal"] == 1
+
+
 def test_results_of_another_learner_are_not_taken_for_done(tmp_path: Path) -> None:
     job = tiny_job()
     record = tmp_path / job.name / "run.json"

@@ -86,7 +86,7 @@ def test_two_jobs_side_by_side_and_one_that_fails(tmp_path: Path, capsys: pytest
     assert sorted(p.name for p in folder.iterdir()) == ["follow.csv", "metrics.csv", "nominal.csv", "run.json"]
     record = json.loads((folder / "run.json").read_text())
     assert set(record) == {
-        "spec", "learner", "minutes", "updates", "environment_steps", "versions", "robot", "fingerprint"
+        "spec", "learner", "policy", "minutes", "updates", "environment_steps", "versions", "robot", "fingerprint"
     }  # fmt: skip
     assert (record["updates"], record["environment_steps"]) == (60, 240)
     assert record["spec"]["switches"]["hidden"] == [16, 16]

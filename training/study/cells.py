@@ -65,8 +65,7 @@ class Table:
 
     def csv(self) -> str:
         """For computing: an estimate has three columns, a spread two; what was not run is empty."""
-        kinds = [next((type(x) for x in column if x is not None), str) for column in zip(*self.rows, strict=True)]
-        kinds = kinds or [str] * len(self.head)
+        kinds = [_kind(column) for column in zip(*self.rows, strict=True)] or [str] * len(self.head)
         text = io.StringIO(newline="")
         writer = csv.writer(text, lineterminator="\n")
         writer.writerow([x for name, kind in zip(self.head, kinds, strict=True) for x in _names(name, kind)])
@@ -155,6 +154,12 @@ def _text(value: Value) -> str:
     return f"{value:g}" if isinstance(value, float) else str(value)
 
 
+def _kind(column: Iterable[Value]) -> type:
+    """What a column needs room for: that it has estimates or spreads may show in a later row."""
+    kinds = [type(value) for value in column if value is not None]
+    return next((kind for kind in kinds if kind in (Estimate, Spread)), kinds[0] if kinds else str)
+
+
 def _names(name: str, kind: type) -> list[str]:
     suffixes = {Estimate: ("", " low", " high"), Spread: (" mean", " std")}
     return [name + suffix for suffix in suffixes.get(kind, ("",))]
@@ -165,4 +170,4 @@ def _numbers(value: Value, kind: type) -> list[Any]:
         return [f"{x:.6g}" for x in (value.value, value.low, value.high)]
     if isinstance(value, Spread):
         return [f"{x:.6g}" for x in (value.mean, value.std)]
-    return ["" if value is None else value] * len(_names("", kind))
+    return ["" if value is None else value] if len(_names("", kind)) == 1 else [""] * len(_names("", kind))

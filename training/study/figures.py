@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
 from itertools import cycle
 from pathlib import Path
@@ -53,16 +54,17 @@ def curve_figures(runs: Sequence[Run], out: Path) -> Iterator[tuple[str, str]]:
         ("fig5", "Fig. 5: number of demonstrations, Anchor Space", counted(runs), _by_algorithm),
     )
     for name, title, some, panel in chosen:
-        for (preset, engine), part in sorted(_kinds(some).items()):
+        for (preset, engine, updates), part in sorted(_kinds(some).items()):
             varied = [(r.setting.algorithm, r.setting.switches, r.setting.demonstrations) for r in part]
-            if name != "fig3" and len({(one if name != "fig5" else one[2]) for one in varied}) < 2:
+            if (name != "fig3" or updates) and len({(one if name != "fig5" else one[2]) for one in varied}) < 2:
                 continue  # there is nothing to compare
             panels: Panels = {}
             for setting, group in grouped(part).items():
                 panels.setdefault(panel(setting), {})[setting] = group
-            file = f"{name}-{preset}-{engine}.png"
+            file = f"{name}-{preset}-{engine}{f'-u{updates}' if updates else ''}.png"
             _draw(panels, out / file, counts=name == "fig5")
-            yield file, f"{title}; preset {preset}, trained in {engine_title(engine)}. {caption(part)}"
+            length = f", {updates} updates" if updates else ""
+            yield file, f"{title}; preset {preset}, trained in {engine_title(engine)}{length}. {caption(part)}"
 
 
 def caption(runs: Sequence[Run]) -> str:
@@ -185,8 +187,14 @@ def _by_algorithm(setting: Setting) -> str:
     return algorithm_title(setting.algorithm)
 
 
-def _kinds(runs: Sequence[Run]) -> dict[tuple[str, str], list[Run]]:
-    kinds: dict[tuple[str, str], list[Run]] = {}
+def _kinds(runs: Sequence[Run]) -> dict[tuple[str, str, int], list[Run]]:
+    """Runs of one figure: by preset, engine, and updates, which are 0 where they are as many as most have."""
+    lengths = Counter((run.setting.preset, run.setting.backend, run.setting.updates) for run in runs)
+    usual: dict[tuple[str, str], int] = {}
+    for (preset, engine, updates), _ in lengths.most_common():
+        usual.setdefault((preset, engine), updates)
+    kinds: dict[tuple[str, str, int], list[Run]] = {}
     for run in runs:
-        kinds.setdefault((run.setting.preset, run.setting.backend), []).append(run)
+        kind, updates = (run.setting.preset, run.setting.backend), run.setting.updates
+        kinds.setdefault((*kind, 0 if updates == usual[kind] else updates), []).append(run)
     return kinds

@@ -149,7 +149,11 @@ def _work(job: Job, missing: list[str], out: Path, folder: Path) -> None:
         policy = _train(job, out)
         subject, card = Subject(spec, policy, policy.robot), policy.card
         if not _is_of(folder, policy.digest, finished):
-            missing = [name for name in EVALUATIONS if name in missing or (folder / f"{name}.csv").is_file()]
+            there = [name for name in EVALUATIONS if (folder / f"{name}.csv").is_file()]
+            missing = list(dict.fromkeys((*there, *missing)))
+            for name in there:
+                (folder / f"{name}.csv").unlink()
+            (folder / RECORD).unlink(missing_ok=True)  # last: as long as it is there, it is seen that it is another's
         if (out / METRICS).is_file():  # the behaviour clone alone has no learning curve
             write_bytes(folder / METRICS, (out / METRICS).read_bytes())
     else:
@@ -179,18 +183,25 @@ def _is_of(folder: Path, digest: str, finished: bool) -> bool:
 
 
 def _train(job: Job, out: Path) -> Any:
-    """The policy of the run, trained as far as that is still to be done."""
+    """The policy of the run, trained as far as that is still to be done.
+
+    Raises:
+        CdcsrError: a run with other options is there.
+    """
     from dataclasses import replace
 
+    from cdcsr.robot import load_robot
     from training.policy import load_policy
+    from training.run_folder import CONFIG, refuse_other_run
     from training.trainer import train
 
+    config, budget = job.spec.train(out), job.budget
     if (out / SUMMARY).is_file():
+        refuse_other_run(out / CONFIG, {**config.identity(), "fingerprint": load_robot(ROBOT).fingerprint})
         return load_policy(out)
-    budget = job.budget
     # At most 40 points on a learning curve, and as many checkpoints.
     every = max(budget.evaluate_every, job.spec.updates // 40)
-    return train(replace(job.spec.train(out), evaluate_every=every, evaluate_episodes=budget.validation_episodes))
+    return train(replace(config, evaluate_every=every, evaluate_episodes=budget.validation_episodes))
 
 
 def _sweep(folder: Path) -> None:

@@ -150,7 +150,7 @@ def _provenance(runs: Sequence[Run]) -> str:
 
 def _missing(runs: Sequence[Run], expected: Mapping[str, Sequence[str]] | None) -> str:
     if expected is None:
-        return "The study does not declare which runs it should have (`expected.json`)."
+        return "It is not known with which budget the runs were made."
     lines = ["| experiment | finished | not run |", "| --- | --- | --- |"]
     for experiment, names in missing(runs, expected).items():
         total = len(expected[experiment])

@@ -10,7 +10,6 @@ from pathlib import Path
 from typing import Any
 
 from cdcsr.errors import CdcsrError
-from cdcsr.files import write_bytes
 from training.study.jobs import Job, environment
 from training.study.local import Outcome, Progress, duration, failure, log_path
 from training.study.locks import STALE_AFTER, Busy
@@ -64,7 +63,7 @@ def carry_out_on_ray(jobs: Sequence[Job], runs: Path, results: Path, address: st
     return outcome
 
 
-def do_one(text: str, runs: str, results: str) -> tuple[int, float, dict[str, bytes]]:
+def do_one(text: str, runs: str, results: str) -> tuple[int, float]:
     """Do one job, on the node this is called on.
 
     Its process ends with the one that calls this. A lock that a lost node left behind is waited for.
@@ -74,7 +73,7 @@ def do_one(text: str, runs: str, results: str) -> tuple[int, float, dict[str, by
         runs, results: the folders, absolute.
 
     Returns:
-        The exit code, the minutes it took, and the files of its results by name.
+        The exit code, and the minutes it took.
     """
     job, runs_folder, folder = Job.from_json(text), Path(runs), Path(results)
     runs_folder.mkdir(parents=True, exist_ok=True)
@@ -89,20 +88,16 @@ def do_one(text: str, runs: str, results: str) -> tuple[int, float, dict[str, by
         if code != Busy.exit_code or time.monotonic() - started > 2 * STALE_AFTER:
             break
         time.sleep(RETRY_BUSY)
-    found = {path.name: path.read_bytes() for path in (folder / job.name).glob("[!.]*")} if code == 0 else {}
-    return code, (time.monotonic() - started) / 60, found
+    return code, (time.monotonic() - started) / 60
 
 
 def _conclude(ray: Any, done: Any, job: Job, runs: Path, results: Path, outcome: Outcome, progress: Progress) -> None:
     try:
-        code, minutes, files = ray.get(done)
+        code, minutes = ray.get(done)
     except ray.exceptions.RayError as error:
         outcome.failed[job.name] = str(error).splitlines()[0]
         progress.done(job, f"failed, {outcome.failed[job.name]}")
         return
-    for name, data in files.items():
-        if not (results / job.name / name).exists():  # the nodes' folder is not this machine's
-            write_bytes(results / job.name / name, data)
     if code == 0 and job.is_done(results):
         outcome.finished[job.name] = minutes
         progress.done(job, f"finished in {duration(minutes)}", minutes)

@@ -135,17 +135,6 @@ def load_study(folder: Path) -> list[Run]:
     return [_load_run(path.parent) for path in sorted(folder.glob("*/run.json"))]
 
 
-def load_expected(folder: Path) -> dict[str, list[str]] | None:
-    """Names of the runs each experiment should have, from `expected.json`; None if the study declares none."""
-    path = folder / "expected.json"
-    if not path.is_file():
-        return None
-    data = read_json(path)
-    if not all(isinstance(names, list) and all(isinstance(x, str) for x in names) for names in data.values()):
-        raise CdcsrError(f"{path} should map each experiment to a list of names of runs.")
-    return data
-
-
 def grouped(runs: Iterable[Run], *ignore: str) -> dict[Setting, list[Run]]:
     """Runs by their settings, in the order of tables; the settings' fields in `ignore` are left out of account.
 
