@@ -121,8 +121,10 @@ class TaskVectorEnv(VectorEnv[Array, Array, NDArray[Any]]):
                 shape (num_envs,), to begin only some episodes.
 
         Raises:
-            CdcsrError: an unknown option, or one of the wrong shape.
+            CdcsrError: an unknown option, or one of the wrong shape; a negative seed.
         """
+        if seed is not None and seed < 0:
+            raise CdcsrError(f"seed must not be negative, found {seed}.")
         super().reset(seed=seed)
         if seed is not None:
             self._channel = Channel(self._disturbances, self.np_random)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
@@ -72,20 +73,29 @@ def transfer(
         json: also write the results, each episode included, to this file.
     """
     from cdcsr.errors import CdcsrError
+    from cdcsr.robot import load_robot
     from cdcsr.spaces import SPACES
-    from training.policy import Policy
+    from controllers.jacobian import JacobianController
+    from training.policy import find_policy
 
     _set_threads()
     if not policies:
         raise CdcsrError("No policy is given; name at least one folder of a policy or a run.")
-    controllers = [find_controller(name, "paper") for name in policies]
-    robots = [robot for c, robot in controllers if isinstance(c, Policy)] or [controllers[0][1]]
+    if len(set(policies)) < len(policies):
+        raise CdcsrError(f"A policy is given twice: {', '.join(policies)}; name each once.")
+    found = {name: find_policy(name) for name in policies if name != JacobianController.name}
+    learned = list(found.values())
+    robot = learned[0].robot if learned else load_robot("paper")
+    names = Counter(policy.name for policy in learned)
+    for path, policy in found.items():
+        if names[policy.name] > 1:  # of runs with the same options in different folders
+            policy.name = f"{policy.name} ({path})"
+    controllers: list[Controller] = [found.get(name) or JacobianController(robot) for name in policies]
     spaces = list(SPACES) if space == "all" else [space]
-    learned = [c for c, _ in controllers if isinstance(c, Policy)]
     tasks = [task] if task else sorted({policy.task for policy in learned}) or ["reach"]
     if len(tasks) > 1:
         raise CdcsrError(f"The policies were trained for different tasks ({', '.join(tasks)}); choose one with --task.")
-    _report([c for c, _ in controllers], robots[0], backend, spaces, episodes, seed, json, None, tasks[0])
+    _report(controllers, robot, backend, spaces, episodes, seed, json, None, tasks[0])
 
 
 def demo(out: Path, minutes: float = 8.0, json: Path | None = None) -> None:

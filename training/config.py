@@ -234,6 +234,11 @@ class Train:
         for name, value in counts.items():
             if value < 1:
                 raise CdcsrError(f"{name} must be at least 1, not {value}.")
+        if self.seed < 0:
+            raise CdcsrError(f"seed must not be negative, found {self.seed}.")
+        for name in ("learning_rate", "bc_learning_rate"):
+            if not getattr(learner, name) > 0:
+                raise CdcsrError(f"{name} must be positive, not {getattr(learner, name)}.")
         if not 0 <= learner.kept_share < 1:
             raise CdcsrError(f"kept_share must lie in [0, 1), not {learner.kept_share}.")
         if not 0 < learner.discount <= 1:
@@ -267,9 +272,9 @@ class Train:
 
 
 def _option(argv: Sequence[str], name: str) -> str | None:
-    for i, word in enumerate(argv):
-        if word == name and i + 1 < len(argv):
+    for i in range(len(argv) - 1, -1, -1):  # of a repeated option the last counts
+        if argv[i] == name and i + 1 < len(argv):
             return argv[i + 1]
-        if word.startswith(name + "="):
-            return word.split("=", 1)[1]
+        if argv[i].startswith(name + "="):
+            return argv[i].split("=", 1)[1]
     return None

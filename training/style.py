@@ -26,7 +26,7 @@ ALGORITHMS = {
     "drldr": "DRLDR",
     "batd3-no-bc": "BATD3 without BC assistance",
     "batd3-no-prefill": "BATD3 without pre-filled data",
-    "batd3-no-ensemble": "BATD3 without RED",
+    "batd3-no-ensemble": "BATD3 without ensemble",
     "jacobian": "demonstrator",
 }
 """Titles of algorithms by their names, in the order tables list them."""

@@ -16,13 +16,13 @@ from tqdm import tqdm
 
 from cdcsr.envs import ReachVectorEnv
 from cdcsr.errors import CdcsrError
-from cdcsr.files import write_json
+from cdcsr.files import write_bytes, write_json
 from cdcsr.randomization import Randomization
 from cdcsr.robot import Robot, load_robot
 from cdcsr.simulation import load_backend
 from cdcsr.spaces import demonstration_space, make_space
 from cdcsr.task import Reward
-from cdcsr.tasks import make_task
+from cdcsr.tasks import actions_per_episode, make_task
 from controllers import demonstrations
 from controllers.demonstrations import Episode
 from controllers.jacobian import JacobianController
@@ -68,6 +68,7 @@ class Run:
         task = make_task(config.task)
         if config.learner.discount == 1 and not task.ends:
             raise CdcsrError(f"discount must be below 1 for {config.task!r}, which pays for every action on target.")
+        self._check_memory(actions_per_episode(task.max_steps, config.frame_skip))
         self.reward: Reward = "sparse" if config.algorithm == "bc" else ALGORITHMS[config.algorithm].reward
         self.episodes = self._demonstrations()
         identity = {**config.identity(), "fingerprint": self.robot.fingerprint}
@@ -83,6 +84,8 @@ class Run:
         """All of it; returns the trained policy."""
         if (self.folder / "summary.json").exists():
             print(f"{self.folder} is a finished run; give --force to start anew.")
+            if self.config.json is not None:
+                write_bytes(self.config.json, (self.folder / "summary.json").read_bytes())
             return load_policy(self.folder)
         clone = None
         if self.config.algorithm == "bc" or ALGORITHMS[self.config.algorithm].uses_clone:
@@ -91,6 +94,19 @@ class Run:
             assert clone is not None
             return self._finish(clone.actor, 0, 0)
         return self._learn(clone)
+
+    def _check_memory(self, actions: int) -> None:
+        """Refuse a replay buffer too small to learn from, and a share of it that nothing would fill.
+
+        Args:
+            actions: of an episode, at most.
+        """
+        config, learner = self.config, self.config.learner
+        if learner.capacity < (least := max(learner.batch_size, actions + 1)):
+            raise CdcsrError(f"capacity must be at least {least}, a batch and an episode, not {learner.capacity}.")
+        kept = config.algorithm != "bc" and ALGORITHMS[config.algorithm].uses_demonstrations
+        if learner.kept_share > 0 and not kept:
+            raise CdcsrError(f"kept_share must be 0 for {config.algorithm}, which keeps no episodes.")
 
     # -- before learning ------------------------------------------------------------------------------------
 

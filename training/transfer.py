@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from cdcsr.disturbances import Disturbances
+from cdcsr.errors import CdcsrError
 from cdcsr.robot import Robot
 from controllers.controller import Controller
 from training.evaluation import TEST_SEED, Result, evaluate
@@ -68,7 +69,13 @@ def transfer(
 
     Returns:
         Cells, the engine varying fastest.
+
+    Raises:
+        CdcsrError: two controllers have one name, by which cells are compared.
     """
+    names = [controller.name for controller in controllers]
+    if len(set(names)) < len(names):
+        raise CdcsrError(f"Controllers must have names of their own; found {', '.join(names)}.")
     cells = []
     for controller in controllers:
         policy = controller if isinstance(controller, Policy) else None

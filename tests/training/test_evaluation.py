@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import torch
 from numpy.typing import NDArray
 from scipy.stats import binomtest
 
@@ -20,8 +21,8 @@ from controllers.jacobian import JacobianController
 from training import commands
 from training.evaluation import TEST_SEED, VALIDATION_SEED, Result, evaluate, wilson
 from training.networks import Actor
-from training.policy import Policy
-from training.transfer import Cell, disagreements, format_table
+from training.policy import Policy, find_policy
+from training.transfer import Cell, disagreements, format_table, transfer
 
 Array = NDArray[np.float64]
 
@@ -73,6 +74,10 @@ def test_frame_skip_counts_simulation_steps() -> None:
 def test_full_packet_loss_blinds_a_policy_but_not_the_demonstrator() -> None:
     robot = load_robot("paper")
     lossy = Disturbances(packet_loss=1.0)
+    policy = find_policy("batd3-spatter-mujoco")
+    rates = [evaluate(policy, robot, "mujoco", "anchor", 10, disturbances=one).rate for one in (Disturbances(), lossy)]
+    assert rates[0] == 1
+    assert rates[1] <= 0.5
     # The scripted controller asks the simulation, not the channel.
     assert evaluate(JacobianController(robot), robot, "mujoco", "anchor", 2, disturbances=lossy).rate == 1
 
@@ -81,6 +86,8 @@ def test_no_episodes_is_an_error() -> None:
     robot = load_robot("paper")
     with pytest.raises(CdcsrError, match="episodes must be at least 1"):
         evaluate(Still(), robot, "mujoco", "anchor", episodes=0)
+    with pytest.raises(CdcsrError, match="seed must not be negative"):
+        evaluate(Still(), robot, "mujoco", "anchor", episodes=1, seed=-1)
 
 
 def _cell(backend: str, success: list[bool]) -> Cell:
@@ -108,13 +115,38 @@ def test_transfer_command_writes_every_cell(tmp_path: Path, capsys: pytest.Captu
     assert "| jacobian" in capsys.readouterr().out
 
 
+def test_policies_of_one_name_are_told_apart(tmp_path: Path) -> None:
+    policy, out = find_policy("batd3-spatter-mujoco"), tmp_path / "transfer.json"
+    twin = tmp_path / "twin"
+    policy.save(twin)
+    names = ["jacobian", "batd3-spatter-mujoco", str(twin)]
+    commands.transfer(names, episodes=2, space="anchor", json=out)
+    data = json.loads(out.read_text())
+    assert len(data["cells"]) == 6
+    assert len(data["disagreements"]) == 3
+    assert len({pair["controller"] for pair in data["disagreements"]}) == 3
+    with pytest.raises(CdcsrError, match="names of their own"):
+        transfer([policy, policy], policy.robot, ["mujoco"], ["anchor"], 2)
+    with pytest.raises(CdcsrError, match="given twice"):
+        commands.transfer(["jacobian", "jacobian"])
+
+
+def test_the_demonstrator_beside_a_policy_is_its_robots(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    robot = load_robot("planar-single")
+    torch.manual_seed(0)
+    card = {"name": "p", "frame_skip": 1, "backend": "mujoco", "space": "anchor"}
+    Policy(Actor(robot, False, (8,), "relu"), robot, np.zeros((1, 3)), card).save(tmp_path / "p")
+    commands.transfer(["jacobian", str(tmp_path / "p")], episodes=1, space="anchor", backend="mujoco")
+    assert "| jacobian" in capsys.readouterr().out
+
+
 def test_transfer_is_at_the_task_of_the_policies(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     policies = {}
     for task in ("precise", "quiet"):
         robot = load_robot("paper")
         card = {"name": task, "backend": "mujoco", "space": "anchor", "task": task, "frame_skip": 5}
         policies[task] = Policy(Actor(robot, False, (4,), "relu"), robot, np.zeros((1, 3)), card)
-    monkeypatch.setattr(commands, "find_controller", lambda name, _: (policies[name], policies[name].robot))
+    monkeypatch.setattr("training.policy.find_policy", policies.get)
     out = tmp_path / "transfer.json"
     commands.transfer(["precise"], backend="mujoco", episodes=1, space="anchor", json=out)
     assert json.loads(out.read_text())["task"] == "precise"
@@ -132,6 +164,7 @@ def test_transfer_is_at_the_task_of_the_policies(monkeypatch: pytest.MonkeyPatch
         (["sweep", "jacobian", "--task", "captur"], "Did you mean 'capture'?"),
         (["sweep", "jacobian", "--axis", "link_mas"], "Did you mean 'link_mass'?"),
         (["evaluate", "jacobian", "--packet-loss", "2"], "packet_loss must lie in [0, 1]"),
+        (["evaluate", "jacobian", "--seed", "-1"], "seed must not be negative"),
         (["transfer", "jacobian", "--robot-less", "x"], "robot-less"),
     ],
 )

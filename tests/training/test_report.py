@@ -164,7 +164,8 @@ def test_halving_levels(study: Path) -> None:
     (sweep,) = sweeps(runs, "link_mass", "mujoco", "anchor").values()
     assert sweep.levels.tolist() == [1, 2, 4]  # 1 is from the nominal evaluation
     row = find(halvings(runs), plant="link mass [factor]")
-    assert (row["halves above"], row["halves below"], row["swept"]) == ("3 [3, 3]", "-", "1 to 4")
+    # Midway between 2 and 4, which are factors, is their geometric mean.
+    assert (row["halves above"], row["halves below"], row["swept"]) == ("2.83 [2.83, 2.83]", "-", "1 to 4")
 
 
 def test_curves_are_compared_where_all_seeds_have_been(study: Path) -> None:

@@ -12,9 +12,10 @@ import time
 from pathlib import Path
 
 import pytest
+from tiny import is_held
 
 from training.study import locks
-from training.study.locks import STALE_AFTER, Busy, is_held, lock
+from training.study.locks import STALE_AFTER, Busy, lock
 
 
 def test_a_lock_is_held_once_and_given_back(tmp_path: Path) -> None:

@@ -162,11 +162,52 @@ def test_demonstrations_of_another_robot_are_refused(tmp_path: Path, demonstrati
         ({"target_critics": 3}, "target_critics must be between 1 and critics"),
         ({"batch_size": 0}, "batch_size must be at least 1"),
         ({"discount": 1.5}, "discount must lie in"),
+        ({"learning_rate": -1.0}, "learning_rate must be positive"),
     ],
 )
 def test_impossible_numbers_are_refused(numbers: dict[str, float], message: str) -> None:
     with pytest.raises(CdcsrError, match=message):
         Train(out=Path("x"), learner=dataclasses.replace(_SMALL, **numbers))  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize(
+    ("numbers", "message"),
+    [
+        ({"capacity": 31}, "capacity must be at least 32, a batch and an episode"),
+        ({"capacity": 25, "batch_size": 8}, "capacity must be at least 26"),
+        ({"kept_share": 0.5}, "kept_share must be 0 for td3"),
+    ],
+)
+def test_a_replay_that_cannot_serve_is_refused(
+    tmp_path: Path, demonstrations: Path, numbers: dict[str, Any], message: str
+) -> None:
+    learner = dataclasses.replace(_SMALL, **numbers)
+    with pytest.raises(CdcsrError, match=message):
+        train(_config(tmp_path / "run", demonstrations, algorithm="td3", learner=learner))
+    assert not (tmp_path / "run").exists()
+
+
+def test_a_finished_run_writes_its_summary_again_and_force_leaves_no_policy(
+    tmp_path: Path, demonstrations: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    config = _config(tmp_path / "run", demonstrations, algorithm="bc")
+    train(config)
+    train(dataclasses.replace(config, json=tmp_path / "again.json"))
+    assert json.loads((tmp_path / "again.json").read_text()) == json.loads((tmp_path / "run/summary.json").read_text())
+
+    def interrupted(_: Run) -> None:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(Run, "_clone", interrupted)
+    with pytest.raises(KeyboardInterrupt):
+        train(dataclasses.replace(config, force=True, seed=1))
+    with pytest.raises(CdcsrError, match="holds no policy"):
+        load_policy(tmp_path / "run")
+
+
+def test_of_a_repeated_option_the_last_counts() -> None:
+    both = ["--algorithm", "td3", "--preset=paper", "--algorithm", "clasp", "--preset=tuned"]
+    assert Train.defaults(both).learner == learner_for("clasp", "tuned")
 
 
 def test_preset_decides_defaults_and_options_override_them() -> None:

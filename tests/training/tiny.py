@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from pathlib import Path
 
+from training.study import locks
 from training.study.grid import Budget
 from training.study.jobs import Job
 from training.study.spec import RunSpec
@@ -19,3 +21,8 @@ def tiny_job(updates: int = 60, evaluations: tuple[str, ...] = ("nominal",), **o
     """Of TD3, unless the options, fields of its :class:`RunSpec`, say something else."""
     spec = replace(RunSpec("td3", updates=updates, demonstrations=1, switches=TINY), **options)
     return Job(spec, evaluations, TINY_BUDGET)
+
+
+def is_held(path: Path) -> bool:
+    """Whether a live process holds the lock."""
+    return path.exists() and not locks._is_stale(path)

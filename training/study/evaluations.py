@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from cdcsr.disturbances import Disturbances
+from cdcsr.errors import CdcsrError
 from cdcsr.files import write_text
 from cdcsr.robot import Robot
 from controllers.controller import Controller
@@ -73,11 +74,20 @@ class Evaluation:
         return asked if self.most is None else min(asked, self.most)
 
     def is_done(self, path: Path, asked: int) -> bool:
-        """Whether the file is there, with as many episodes as are asked for. A file is complete or absent."""
+        """Whether the file is there, with as many episodes as are asked for. A file is complete or absent.
+
+        Raises:
+            CdcsrError: it is none that was written here.
+        """
         if not path.is_file():
             return False
-        with path.open(newline="", encoding="utf-8") as file:
-            last = max((int(row["episode"]) for row in csv.DictReader(file)), default=-1)
+        try:
+            with path.open(newline="", encoding="utf-8") as file:
+                last = max((int(row["episode"]) for row in csv.DictReader(file)), default=-1)
+        except (OSError, KeyError, ValueError, TypeError) as error:
+            raise CdcsrError(
+                f"{path} is damaged ({type(error).__name__}: {error}); delete it to have it made again."
+            ) from None
         return last + 1 >= self.episodes(asked)
 
     def write(self, path: Path, subject: Subject, asked: int) -> None:

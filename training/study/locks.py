@@ -57,11 +57,6 @@ def lock(path: Path) -> Iterator[None]:
             path.unlink(missing_ok=True)
 
 
-def is_held(path: Path) -> bool:
-    """Whether a live process holds the lock."""
-    return path.exists() and not _is_stale(path)
-
-
 def _take(path: Path, mine: Path) -> None:
     """Give `mine` the name `path`. A link is made or not made, at once, also on a network's file system.
 

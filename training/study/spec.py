@@ -90,13 +90,9 @@ class RunSpec:
         """Plain data; switches by name."""
         return {field.name: getattr(self, field.name) for field in fields(self)} | {"switches": dict(self.switches)}
 
-    def to_json(self) -> str:
-        """One line that :meth:`from_json` reads."""
-        return json.dumps(self.as_dict())
-
     @classmethod
     def from_json(cls, text: str) -> RunSpec:
-        """Read what :meth:`to_json` wrote.
+        """Read :meth:`as_dict` as JSON.
 
         Raises:
             CdcsrError: it is something else.

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import replace
 from itertools import combinations, product
 from typing import Literal
 
 import numpy as np
 
-from training.plants import AXES
+from training.plants import AXES, Axis
 from training.study.cells import COST, TRAINED, Cell, Table, Value, amount, cost, measure, trained
 from training.study.grid import ABLATIONS, COUNTS, OURS
 from training.study.paper import DISTURBANCES, TABLE_4
@@ -167,13 +168,14 @@ def halvings(runs: Sequence[Run]) -> Table:
                 high = max(float(one.levels[-1]) for one in found.values())
                 rows.append([
                     *trained(setting), SPACES[space], engine_title(engine), description.title, f"{low:g} to {high:g}",
-                    *(_halving(list(found.values()), description.nominal, side) for side in SIDES),
+                    *(_halving(list(found.values()), description, side) for side in SIDES),
                     *cost([run for run in group if run.name in found]),
                 ])  # fmt: skip
     head = (*TRAINED, "space", "tested in", "plant", "swept", "halves below", "halves above", *COST)
     note = basis(chosen) + (
-        " Means over seeds, interpolated linearly between levels; intervals redraw seeds and episodes. `none`: success"
-        " does not halve within the sweep; `-`: not swept on that side, or nothing succeeds on the plant trained on."
+        " Means over seeds, interpolated between levels, by ratio where they are factors;"
+        " intervals redraw seeds and episodes. `none`: success does not halve within the sweep;"
+        " `-`: not swept on that side, or nothing succeeds on the plant trained on."
     )
     return Table("plants", "Levels of the plant at which success halves", note, head, rows)
 
@@ -250,12 +252,15 @@ def _disagreements(seeds: Sequence[Run], engines: tuple[str, str], space: str) -
     return f"{counts[0]} / {counts[1]} of {total}" if total else None
 
 
-def _halving(found: Sequence[Sweep], nominal: float, side: Literal["above", "below"]) -> Value:
-    crossing = halving(found, nominal, side)
+def _halving(found: Sequence[Sweep], axis: Axis, side: Literal["above", "below"]) -> Value:
+    """As `cdcsr sweep` finds it: a level midway between two factors is their geometric mean."""
+    ratio = axis.unit == "factor" and all(one.levels.min() > 0 for one in found)
+    scaled = [replace(one, levels=np.log(one.levels)) if ratio else one for one in found]
+    crossing = halving(scaled, float(np.log(axis.nominal)) if ratio else axis.nominal, side)
     if crossing is None:
         return "-"
-    return f"{_level(crossing.level)} [{_level(crossing.low)}, {_level(crossing.high)}]"
-
-
-def _level(value: float) -> str:
-    return f"{value:.3g}" if np.isfinite(value) else "none"
+    level, low, high = (
+        "none" if not np.isfinite(value) else f"{np.exp(value) if ratio else value:.3g}"
+        for value in (crossing.level, crossing.low, crossing.high)
+    )
+    return f"{level} [{low}, {high}]"
