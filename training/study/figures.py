@@ -112,13 +112,17 @@ def _draw(panels: Panels, path: Path, counts: bool) -> None:
     """
     shown = {title: g for title, g in panels.items() if not counts or any(r.curve for some in g.values() for r in some)}
     total = len(shown) + counts
-    with drawn(path, (3.1 * total + 0.5, 3.3), "constrained") as figure:
+    looks = _looks(panels, counts)
+    rows = -(-len(looks) // min(5, 2 * total))  # of the legend
+    size = 3.1 * total + 0.5, 2.9 + 0.2 * rows
+    if rows > 3:  # long names, as of variants: the panels get their width
+        size = max(size[0], 7.5), size[1]
+    with drawn(path, size, "constrained") as figure:
         grid = figure.subplots(1, total, sharey=True, squeeze=False)[0]
-        colors = _colors(panels, counts)
         for axes, (title, groups) in zip(grid, shown.items(), strict=False):
             axes.set(title=title, xlabel="updates")
             for setting, group in groups.items():
-                _curve(axes, setting, group, _label(setting, counts), colors[_label(setting, counts)])
+                _curve(axes, setting, group, _label(setting, counts), *looks[_label(setting, counts)])
             axes.set_xlim(left=0)
             axes.xaxis.set_major_formatter(short_count)
             tidy(axes)
@@ -128,9 +132,8 @@ def _draw(panels: Panels, path: Path, counts: bool) -> None:
         legend(figure, min(5, 2 * total))
 
 
-def _curve(axes: Axes, setting: Setting, group: Sequence[Run], label: str, color: object) -> None:
+def _curve(axes: Axes, setting: Setting, group: Sequence[Run], label: str, color: object, dashes: str) -> None:
     updates, curves = aligned(group)
-    dashes = "--" if setting.algorithm == "drldr" else "-"
     if len(updates):
         middle, low, high = band(curves)
         axes.fill_between(updates, low, high, color=color, alpha=0.15, lw=0)
@@ -158,17 +161,21 @@ def _by_count(axes: Axes, panels: Panels) -> None:
     tidy(axes)
 
 
-def _colors(panels: Panels, counts: bool) -> dict[str, object]:
-    """By label: of the algorithm, or a scale of the number of demonstrations, or one after the other."""
+def _looks(panels: Panels, counts: bool) -> dict[str, tuple[object, str]]:
+    """Color and dashes by label: of the algorithm, by the number of demonstrations, or one after the other."""
     settings = [setting for groups in panels.values() for setting in groups]
     if counts:
         numbers = sorted({setting.demonstrations for setting in settings})
         shades = matplotlib.colormaps["viridis_r"](np.linspace(0.2, 0.95, len(numbers)))
-        return {_count_label(number): shade for number, shade in zip(numbers, shades, strict=True)}
+        return {_count_label(number): (shade, "-") for number, shade in zip(numbers, shades, strict=True)}
     labels = dict.fromkeys(_label(setting, counts) for setting in settings)
     if any(setting.switches for setting in settings):
-        return dict(zip(labels, cycle(RUN_COLORS), strict=False))
-    return {_label(setting, counts): COLORS.get(setting.algorithm, SOFT) for setting in settings}
+        looks = cycle((color, dashes) for dashes in ("-", "--", ":") for color in RUN_COLORS)
+        return dict(zip(labels, looks, strict=False))
+    return {
+        _label(setting, counts): (COLORS.get(setting.algorithm, SOFT), "--" if setting.algorithm == "drldr" else "-")
+        for setting in settings
+    }
 
 
 def _label(setting: Setting, counts: bool) -> str:
