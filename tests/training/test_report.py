@@ -7,6 +7,7 @@ import json
 import subprocess
 import sys
 from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -15,7 +16,7 @@ import pytest
 from cdcsr.errors import CdcsrError
 from training.report import report
 from training.study.cells import Table
-from training.study.figures import aligned
+from training.study.figures import _looks, aligned, curve_figures
 from training.study.page import beside_paper, missing
 from training.study.paper import TABLE_2, TABLE_3, TABLE_4
 from training.study.plants import sweeps
@@ -23,6 +24,7 @@ from training.study.reachable import beside_demonstrator
 from training.study.records import load_study
 from training.study.statistics import Estimate
 from training.study.tables import comparison, generalization, halvings, robustness, tasks, transfer
+from training.style import RUN_COLORS
 
 HEAD = ["backend", "space", "axis", "level", "episode", "success", "length", "distance"]
 Row = tuple[str, str, str, float, str]
@@ -172,6 +174,23 @@ def test_curves_are_compared_where_all_seeds_have_been(study: Path) -> None:
     updates, curves = aligned([run for run in load_study(study) if run.setting.space == "anchor"])
     assert updates.tolist() == [500, 1000]
     assert curves.tolist() == [[0.0, 0.5], [0.1, 0.5], [0.2, 0.5]]
+
+
+def test_curves_of_another_length_have_a_figure_of_their_own(study: Path, tmp_path: Path) -> None:
+    before = [name for name, _ in curve_figures(load_study(study), tmp_path)]
+    assert "fig3-tuned-mujoco.png" in before
+    curve = [(1000, 0.5), (4000, 0.9)]
+    for algorithm in ("td3", "clasp"):
+        write_run(study, algorithm, {"nominal": [nominal("1111")]}, curve, algorithm=algorithm, updates=4000)
+    after = [name for name, _ in curve_figures(load_study(study), tmp_path)]
+    assert after == [*before[:1], "fig3-tuned-mujoco-u4000.png", *before[1:]]
+
+
+def test_no_two_variants_look_alike(study: Path) -> None:
+    setting = load_study(study)[0].setting
+    settings = [replace(setting, switches=(("critics", str(i)),)) for i in range(2 * len(RUN_COLORS))]
+    looks = _looks({"Spatter": {one: [] for one in settings}}, counts=False)
+    assert len(set(looks.values())) == len(settings)
 
 
 def test_beside_the_paper(study: Path) -> None:

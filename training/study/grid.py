@@ -63,7 +63,7 @@ OURS_SWITCHES: tuple[tuple[tuple[str, Any], ...], ...] = (
 )
 """What the ablation of our method changes in its learner, one change an entry."""
 UNHURRIED: tuple[tuple[str, Any], ...] = (("hindsight", 1), ("self_imitation", 0.0))
-"""What our method gains from where there is time: slower at first, it ends in shorter episodes."""
+"""Hindsight in place of self-imitation: slower at first, it ends in shorter episodes, though it misses more targets."""
 CHOICES = ("hard", "scaled")
 """Other ways for BATD3's targets to choose between clone and policy."""
 ABLATIONS = ("batd3", "batd3-no-bc", "batd3-no-prefill", "batd3-no-ensemble")

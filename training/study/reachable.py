@@ -13,7 +13,7 @@ from training.study.statistics import rate
 from training.study.tables import basis
 
 SOONEST = "best of all runs"
-_NEVER = 1_000_000
+"""Stands where an algorithm would, in the row of the shortest episodes."""
 _HEAD = ("space", "reachable", *TRAINED, "κ of reachable", "length over the demonstrator's", *COST)
 
 
@@ -70,14 +70,14 @@ def _soonest(runs: Sequence[Run], space: str, known: NDArray[np.int64]) -> list[
     demonstrator = _demonstrator(runs, "mujoco", space)
     if demonstrator is None:
         return []
-    shortest = {
-        target: min(int(one.length[(one.episode == target) & one.success].min(initial=_NEVER)) for one in found)
-        for found in [list(_found(runs, space))]
-        for target in known
-    }
-    both = demonstrator.success  # what he reaches is known to be reachable
+    both = demonstrator.success & np.isin(demonstrator.episode, known)
     if not both.any():
         return []
+    found = list(_found(runs, space))
+    shortest = {
+        target: min(one.length[(one.episode == target) & one.success].min(initial=np.inf) for one in found)
+        for target in known
+    }
     share = np.mean([shortest[target] for target in demonstrator.episode[both]]) / demonstrator.length[both].mean()
     total = len(np.unique(demonstrator.episode))
     name, *rest = (SOONEST, *"-" * (len(TRAINED) - 1))
