@@ -76,8 +76,7 @@ class Collector:
         """One action in every environment; yields the episodes that ended with it."""
         env, everyone = self.env, np.arange(self.env.num_envs)
         with torch.no_grad():
-            encoded = actor.encoder(torch.as_tensor(self._observation, dtype=torch.float32))
-            action = actor(encoded).numpy().astype(np.float64)
+            action = actor.act(torch.as_tensor(self._observation, dtype=torch.float32)).numpy().astype(np.float64)
         fresh = (everyone + self._count) % self._hold == 0
         self._noise[fresh] = self._scale[fresh] * self._rng.normal(size=(int(fresh.sum()), action.shape[1]))
         self._count += 1

@@ -22,6 +22,9 @@ class Learner:
 
     features: Literal["state", "state+error"] = "state"
     """Network input: the scaled eq. (1), or that and the scaled vector from tip to target."""
+    symmetry: bool = False
+    """See every situation as that of its mirror images, under which the robot is itself, whose target lies in a part of
+    the space: one quarter of it, for arms like the paper's. What is learned there then holds everywhere."""
     hidden: tuple[int, ...] = (256, 256, 256)
     """Width of the hidden layers of every network."""
     layer_norm: bool = False
@@ -134,7 +137,13 @@ OWN: dict[str, dict[PresetName, dict[str, Any]]] = {
     # Of five critics TD3's two are left, and of the tuned preset's two one.
     "batd3-no-ensemble": {"paper": {"critics": 2}, "tuned": {"critics": 1, "target_critics": 1}},
     "clasp": {
-        preset: {"clone_start": True, "clone_anchor": 0.7, "anchor_updates": 2_000, "self_imitation": 10.0}
+        preset: {
+            "symmetry": True,
+            "clone_start": True,
+            "clone_anchor": 0.7,
+            "anchor_updates": 2_000,
+            "self_imitation": 10.0,
+        }
         for preset in ("paper", "tuned")
     },
 }
@@ -267,6 +276,8 @@ class Train:
         data["demonstrations"] = None if self.demonstrations is None else str(self.demonstrations)
         if not self.randomize:
             del data["randomize"]  # runs from before it existed go on
+        if not self.learner.symmetry:
+            del data["learner"]["symmetry"]
         data["learner"]["hidden"] = list(self.learner.hidden)
         return data
 

@@ -13,6 +13,7 @@ from cdcsr.robot import Robot
 from cdcsr.task import Task
 from training.collector import FinishedEpisode
 from training.config import Learner
+from training.folding import Folding
 from training.hindsight import relabel
 from training.replay import Batch, Replay
 
@@ -35,6 +36,7 @@ class Memory:
         self, robot: Robot, learner: Learner, clone: Callable[[Array], NDArray[np.float32]] | None, task: Task
     ) -> None:
         self._learner, self._clone, self._task = learner, clone, task
+        self._folding = Folding(robot) if learner.symmetry else None
         self._pay = 1.0 if task.ends or task.reward_kind != "sparse" else 1 - learner.discount
 
         def replay() -> Replay:
@@ -79,6 +81,13 @@ class Memory:
         return Batch(*(torch.cat(both) for both in zip(*parts, strict=True)))
 
     def _store(self, replay: Replay, episode: FinishedEpisode) -> None:
-        clone = None if self._clone is None else self._clone(episode.observations)
+        observations, actions = episode.observations, episode.actions
+        if self._folding is not None:
+            # Each row by itself: where the target moves, an episode's rows need not be folded alike. A value does not
+            # change with the image it is taken in, so a transition may lead from one to another.
+            folded, cables = self._folding(torch.from_numpy(observations))
+            observations = folded.numpy()
+            actions = np.take_along_axis(actions, cables.numpy()[:-1], -1)
+        clone = None if self._clone is None else self._clone(observations)
         rewards = self._pay * episode.rewards - self._learner.step_cost
-        replay.add_episode(episode.observations, episode.actions, rewards, episode.terminated, clone)
+        replay.add_episode(observations, actions, rewards, episode.terminated, clone)

@@ -10,6 +10,7 @@ from torch import Tensor, nn
 from cdcsr.observation import TARGET, TIP_POSITION, observation_size
 from cdcsr.robot import Robot
 from training.ensemble import Ensemble
+from training.folding import Folding
 
 _ERROR_SCALE = 0.1
 """Scale of the vector from tip to target, in [m]."""
@@ -53,13 +54,24 @@ class Encoder(nn.Module):
 class Actor(nn.Module):
     """A deterministic policy: observation -> servo set-points, everything it needs inside.
 
-    `forward` maps encoded observations to actions in [-1, 1]; `command` goes from observation to set-points.
+    `forward` maps encoded observations to actions in [-1, 1]; `act` goes from observation to those, and `command` to
+    set-points.
+
+    Args:
+        robot: the description.
+        with_error: of the encoder.
+        hidden: widths of the hidden layers.
+        activation: after each of them.
+        symmetry: `act` and `command` fold what they see, see :class:`Folding`.
     """
 
     eta: Tensor
 
-    def __init__(self, robot: Robot, with_error: bool, hidden: tuple[int, ...], activation: Activation) -> None:
+    def __init__(
+        self, robot: Robot, with_error: bool, hidden: tuple[int, ...], activation: Activation, symmetry: bool = False
+    ) -> None:
         super().__init__()
+        self.folding = Folding(robot) if symmetry else None
         self.encoder = Encoder(robot, with_error)
         layers: list[nn.Module] = []
         width = self.encoder.size
@@ -81,9 +93,16 @@ class Actor(nn.Module):
         """Set-points in [-eta, 0] m -> [-1, 1]."""
         return command / (self.eta / 2) + 1
 
+    def act(self, observation: Tensor) -> Tensor:
+        """(..., 23 + C) -> (..., C) in [-1, 1]."""
+        if self.folding is None:
+            return self(self.encoder(observation))
+        folded = self.folding(observation)
+        return self(self.encoder(folded.observation)).gather(-1, folded.cables)
+
     def command(self, observation: Tensor) -> Tensor:
         """(..., 23 + C) -> set-points (..., C) in [m]."""
-        return self.to_command(self(self.encoder(observation)))
+        return self.to_command(self.act(observation))
 
 
 class Critics(nn.Module):

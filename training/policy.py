@@ -101,6 +101,7 @@ class Policy(Controller):
             "centers": self.centers.tolist(),
             "network": {
                 "with_error": actor.encoder.with_error,
+                "symmetry": actor.folding is not None,
                 "hidden": [layer.out_features for layer in actor.net if isinstance(layer, torch.nn.Linear)][:-1],
                 "activation": "tanh" if isinstance(actor.net[1], torch.nn.Tanh) else "relu",
             },
@@ -131,7 +132,8 @@ def load_policy(folder: Path) -> Policy:
         if robot.fingerprint != card["robot_fingerprint"]:
             raise CdcsrError(f"{folder / _CARD}: the robot's description does not match its fingerprint.")
         network = card["network"]
-        actor = Actor(robot, bool(network["with_error"]), tuple(network["hidden"]), network["activation"])
+        symmetry = bool(network.get("symmetry", False))  # there are policies from before it existed
+        actor = Actor(robot, bool(network["with_error"]), tuple(network["hidden"]), network["activation"], symmetry)
         actor.load_state_dict(load_file(folder / _WEIGHTS))
         centers = np.array(card["centers"], dtype=np.float64).reshape(-1, 3)
         policy = Policy(actor, robot, centers, card)

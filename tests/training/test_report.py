@@ -142,6 +142,13 @@ def test_generalization(study: Path) -> None:
     row = find(generalization(load_study(study)), on="Anchor")
     assert row["κ in Floating"].value == 0.5
     assert row["κ in Spatter"] is None
+    assert row["κ all around"] is None
+    around = {
+        "nominal": [nominal("11")],
+        "workspace": [nominal("10", "workspace"), nominal("00", "workspace", "other")],
+    }
+    write_run(study, "around", around, algorithm="clasp")
+    assert find(generalization(load_study(study)), algorithm="CLASP")["κ all around"].value == 0.5
 
 
 def test_robustness_takes_level_zero_from_the_nominal_evaluation(study: Path) -> None:

@@ -228,6 +228,11 @@ def test_results_of_another_learner_are_not_taken_for_done(tmp_path: Path) -> No
     other = asdict(job.spec.learner) | {"discount": 0.5}
     write_json(record, {"learner": other})
     assert job.changed(tmp_path) == [f"discount 0.5, now {job.spec.learner.discount}"]
+    # A record from before there was a number says nothing of it: it was as it is by default.
+    job = tiny_job(switches=(("symmetry", True),))
+    older = {name: value for name, value in asdict(job.spec.learner).items() if name != "symmetry"}
+    write_json(tmp_path / job.name / "run.json", {"learner": older})
+    assert job.changed(tmp_path) == ["symmetry False, now True"]
 
 
 @pytest.mark.parametrize(
@@ -278,7 +283,9 @@ def test_the_command_lists_and_refuses(tmp_path: Path, capsys: pytest.CaptureFix
 
 
 def test_the_command_takes_no_results_of_another_learner(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    (name,) = [name for name in collect(["table4"], BUDGETS["quick"]) if name.startswith("bc-tuned_anchor")]
+    cells = collect(["table4"], BUDGETS["quick"])
+    (name,) = [name for name in cells if name.startswith("bc-tuned_anchor")]
+    learner = asdict(cells[name][0].learner)
     record = tmp_path / name / "run.json"
     arguments = [
         "table4",
@@ -291,7 +298,7 @@ def test_the_command_takes_no_results_of_another_learner(tmp_path: Path, capsys:
         "--results",
         str(tmp_path),
     ]
-    write_json(record, {"learner": {"discount": 0.5}})
+    write_json(record, {"learner": learner | {"discount": 0.5}})
     assert run(experiments, "training.experiments", arguments) == 2
     assert "other numbers of the learner (discount 0.5, now 0.99)" in capsys.readouterr().err
     record.write_text("{", "utf-8")

@@ -28,13 +28,13 @@ class BehaviourCloning:
 
     def __init__(self, robot: Robot, learner: Learner, generator: torch.Generator) -> None:
         self.learner = learner
-        self.actor = Actor(robot, learner.features == "state+error", learner.hidden, "tanh")
+        self.actor = Actor(robot, learner.features == "state+error", learner.hidden, "tanh", learner.symmetry)
         self._generator = generator
 
     def actions(self, observations: NDArray[np.float64]) -> NDArray[np.float32]:
         """What the clone does, in [-1, 1]: (n, 23 + C) -> (n, C)."""
         with torch.no_grad():
-            return self.actor(self.actor.encoder(torch.as_tensor(observations, dtype=torch.float32))).numpy()
+            return self.actor.act(torch.as_tensor(observations, dtype=torch.float32)).numpy()
 
     def fit(self, observations: Tensor, commands: Tensor, progress: Progress) -> None:
         """Train on all pairs, then freeze; see :func:`imitate`."""
@@ -56,7 +56,11 @@ def imitate(
         generator: draws the batches.
         progress: called with the number of the update and its loss.
     """
-    encoded, wanted = actor.encoder(observations), actor.from_command(commands)
+    wanted = actor.from_command(commands)
+    if actor.folding is not None:
+        observations, cables = actor.folding(observations)
+        wanted = wanted.gather(-1, cables)
+    encoded = actor.encoder(observations)
     updates = learner.bc_updates
     optimizer = torch.optim.Adam(actor.parameters(), lr=learner.bc_learning_rate, fused=True)
     schedule = torch.optim.lr_scheduler.CosineAnnealingLR(optimizer, updates)

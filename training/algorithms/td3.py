@@ -43,7 +43,7 @@ class TD3:
 
     def __init__(self, robot: Robot, learner: Learner, generator: torch.Generator) -> None:
         self.learner = learner
-        self.actor = Actor(robot, learner.features == "state+error", learner.hidden, "relu")
+        self.actor = Actor(robot, learner.features == "state+error", learner.hidden, "relu", learner.symmetry)
         inputs = self.actor.encoder.size + robot.num_cables
         self.critics = Critics(inputs, learner.hidden, learner.critics, learner.layer_norm)
         self.target_actor = copy.deepcopy(self.actor).requires_grad_(False)

@@ -19,7 +19,7 @@ from training.evaluation import Result, evaluate
 from training.plants import AXES
 from training.policy import Policy
 from training.study.follow import MOTIONS, follow
-from training.study.grid import BACKENDS, SPACES
+from training.study.grid import AROUND, BACKENDS, SPACES
 from training.study.spec import RunSpec
 from training.sweep import Point, sweep
 
@@ -108,6 +108,13 @@ def nominal(subject: Subject, episodes: int) -> Iterator[Row]:
         yield from episode_rows(backend, space, "nominal", 0, result)
 
 
+def around(subject: Subject, episodes: int) -> Iterator[Row]:
+    """Undisturbed, in every engine, all around the arm."""
+    for backend in BACKENDS:
+        result = evaluate(subject.controller, subject.robot, backend, AROUND, episodes, **subject.options)
+        yield from episode_rows(backend, AROUND, "nominal", 0, result)
+
+
 def disturbances(subject: Subject, episodes: int) -> Iterator[Row]:
     """One disturbance at a time, in the engine and space of training (Table IV)."""
     backend, space = subject.spec.backend, subject.spec.space
@@ -154,6 +161,7 @@ def episode_rows(backend: str, space: str, axis: str, level: float, result: Resu
 
 EVALUATIONS: dict[str, Evaluation] = {
     "nominal": Evaluation(EPISODE_COLUMNS, nominal),
+    AROUND: Evaluation(EPISODE_COLUMNS, around),
     "disturbances": Evaluation(EPISODE_COLUMNS, disturbances),
     "plants": Evaluation(EPISODE_COLUMNS, plants, most=PLANT_EPISODES),
     "follow": Evaluation(FOLLOW_COLUMNS, following, most=FOLLOW_EPISODES),

@@ -43,12 +43,15 @@ BUDGETS = {
 }
 
 SPACES = ("spatter", "anchor", "floating")
+AROUND = "workspace"
+"""The space of all that the demonstrator reaches; also the evaluation of a policy there that was trained elsewhere."""
 BACKENDS = ("mujoco", "pybullet")
 METHODS = ("batd3", "bc", "clasp", "td3wd", "rlpd", "rbl", "drldr", "td3", "her")
 """All of them, those that are compared most first."""
 OURS = "clasp"
 """The name of our own method."""
 OURS_SWITCHES: tuple[tuple[tuple[str, Any], ...], ...] = (
+    (("symmetry", False),),
     (("clone_start", False),),
     (("clone_anchor", 0.0),),
     (("self_imitation", 0.0),),
@@ -69,7 +72,7 @@ CHOICES = ("hard", "scaled")
 ABLATIONS = ("batd3", "batd3-no-bc", "batd3-no-prefill", "batd3-no-ensemble")
 COUNTS = (3, 5, 20)
 """Numbers of demonstrations, besides 10."""
-TASKS = (("reach", "workspace"), ("capture", "anchor"), ("precise", "anchor"), ("quiet", "anchor"))
+TASKS = (("reach", AROUND), ("capture", "anchor"), ("precise", "anchor"), ("quiet", "anchor"))
 """What goes beyond the paper: (task, space)."""
 TASK_METHODS = ("batd3", "bc", OURS, "td3wd", "rlpd")
 
@@ -105,11 +108,11 @@ def fig5(budget: Budget) -> Iterator[Cell]:
 
 
 def table3(budget: Budget) -> Iterator[Cell]:
-    """Table III: trained in one space, tested in the others."""
+    """Table III: trained in one space, tested in the others, and all around the arm."""
     for seed in range(budget.seeds):
         for space in SPACES:
             for algorithm in ("batd3", OURS):
-                yield _spec(budget, algorithm, space, seed), ("nominal",)
+                yield _spec(budget, algorithm, space, seed), ("nominal", AROUND)
 
 
 def table4(budget: Budget) -> Iterator[Cell]:
@@ -178,6 +181,14 @@ def paper_preset(budget: Budget) -> Iterator[Cell]:
                 yield _spec(budget, algorithm, space, seed, preset="paper"), ("nominal",)
 
 
+def symmetry(budget: Budget) -> Iterator[Cell]:
+    """All around the arm with the robot's mirror images made use of, and without: our method and others."""
+    for seed in range(budget.seeds):
+        for algorithm in (OURS, "batd3", "bc", "td3wd"):
+            for switches in ((), (("symmetry", algorithm != OURS),)):
+                yield _spec(budget, algorithm, AROUND, seed, switches=switches), ("nominal",)
+
+
 def ours(budget: Budget) -> Iterator[Cell]:
     """Our method without each of its parts, and what else might take BATD3 further."""
     for seed in range(budget.seeds):
@@ -205,6 +216,7 @@ EXPERIMENTS: dict[str, Experiment] = {
     "transfer": transfer,
     "plants": plants,
     "tasks": tasks,
+    "symmetry": symmetry,
     "ours": ours,
     "longer": longer,
     "paper-preset": paper_preset,

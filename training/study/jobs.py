@@ -18,7 +18,7 @@ from typing import Any, get_args
 from cdcsr.cli import run
 from cdcsr.errors import CdcsrError, unknown_choice
 from cdcsr.files import write_bytes, write_json
-from training.config import AlgorithmName
+from training.config import AlgorithmName, Learner
 from training.study.grid import Budget
 from training.study.locks import lock
 from training.study.spec import RunSpec
@@ -70,6 +70,8 @@ class Job:
             return []
         recorded = read_json(path).get("learner", {})
         now = json.loads(json.dumps(asdict(self.spec.learner)))
+        if recorded:  # what did not exist then was as it is by default
+            recorded = json.loads(json.dumps(asdict(Learner()))) | recorded
         return [f"{name} {value}, now {now.get(name)}" for name, value in recorded.items() if now.get(name) != value]
 
     def is_begun(self, runs: Path) -> bool:

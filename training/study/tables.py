@@ -11,7 +11,7 @@ import numpy as np
 
 from training.plants import AXES, Axis
 from training.study.cells import COST, TRAINED, Cell, Table, Value, amount, cost, measure, trained
-from training.study.grid import ABLATIONS, COUNTS, OURS
+from training.study.grid import ABLATIONS, AROUND, COUNTS, OURS
 from training.study.paper import DISTURBANCES, TABLE_4
 from training.study.plants import sweeps
 from training.study.records import DEMONSTRATIONS, JACOBIAN, SPACES, Run, at_home, grouped
@@ -87,15 +87,14 @@ def generalization(runs: Sequence[Run]) -> Table:
     for setting, group in grouped(chosen).items():
         rows.append([
             *trained(setting), SPACES[setting.space],
-            *(_success(group, "nominal", space=space) for space in SPACES), *cost(group),
+            *(_success(group, "nominal", space=space) for space in SPACES), _success(group, AROUND, space=AROUND),
+            *cost(group),
         ])  # fmt: skip
     have = {run.setting.space for run in chosen if run.setting.algorithm == "batd3"}
     for space in SPACES:
         if space not in have:
-            rows.append(
-                [algorithm_title("batd3"), "-", ENGINES["mujoco"], SPACES[space], None, None, None, *cost(None)]
-            )
-    head = (*TRAINED, "on", *(f"κ in {title}" for title in SPACES.values()), *COST)
+            rows.append([algorithm_title("batd3"), "-", ENGINES["mujoco"], SPACES[space], *[None] * 4, *cost(None)])
+    head = (*TRAINED, "on", *(f"κ in {title}" for title in SPACES.values()), "κ all around", *COST)
     return Table("table3", "Table III: generalization between spaces", basis(chosen), head, rows)
 
 
