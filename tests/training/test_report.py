@@ -148,7 +148,7 @@ def test_generalization(study: Path) -> None:
         "workspace": [nominal("10", "workspace"), nominal("00", "workspace", "other")],
     }
     write_run(study, "around", around, algorithm="clasp")
-    assert find(generalization(load_study(study)), algorithm="CLASP")["κ all around"].value == 0.5
+    assert find(generalization(load_study(study)), algorithm="CLASP (ours)")["κ all around"].value == 0.5
 
 
 def test_robustness_takes_level_zero_from_the_nominal_evaluation(study: Path) -> None:
