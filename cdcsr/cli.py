@@ -72,7 +72,6 @@ def run(function: Callable[..., Any], prog: str, argv: Sequence[str]) -> int:
             prog=prog,
             args=list(argv),
             default=defaults(argv) if defaults else tyro.MISSING,
-            config=(tyro.conf.FlagCreatePairsOff,),
         )
         if defaults:
             result.run()

@@ -15,6 +15,7 @@ import pytest
 from safetensors.torch import load_file
 from tiny import FRAME_SKIP
 
+from cdcsr.cli import run
 from cdcsr.errors import CdcsrError
 from controllers.commands import demonstrate
 from training.config import PRESETS, Learner, Train, learner_for
@@ -208,6 +209,17 @@ def test_a_finished_run_writes_its_summary_again_and_force_leaves_no_policy(
 def test_of_a_repeated_option_the_last_counts() -> None:
     both = ["--algorithm", "td3", "--preset=paper", "--algorithm", "clasp", "--preset=tuned"]
     assert Train.defaults(both).learner == learner_for("clasp", "tuned")
+
+
+@pytest.mark.parametrize("algorithm", ["clasp", "batd3"])
+@pytest.mark.parametrize("flag", ["--learner.symmetry", "--learner.no-symmetry"])
+def test_a_switch_can_be_given_both_ways_whatever_it_is_by_default(
+    algorithm: str, flag: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    seen: list[Train] = []
+    monkeypatch.setattr(Train, "run", lambda self: seen.append(self))
+    assert run(Train, "training", ["--algorithm", algorithm, flag, "--out", str(tmp_path)]) == 0
+    assert seen[0].learner.symmetry == (flag == "--learner.symmetry")
 
 
 def test_preset_decides_defaults_and_options_override_them() -> None:
