@@ -137,13 +137,7 @@ OWN: dict[str, dict[PresetName, dict[str, Any]]] = {
     # Of five critics TD3's two are left, and of the tuned preset's two one.
     "batd3-no-ensemble": {"paper": {"critics": 2}, "tuned": {"critics": 1, "target_critics": 1}},
     "clasp": {
-        preset: {
-            "symmetry": True,
-            "clone_start": True,
-            "clone_anchor": 0.7,
-            "anchor_updates": 2_000,
-            "self_imitation": 10.0,
-        }
+        preset: {"clone_start": True, "clone_anchor": 0.7, "anchor_updates": 2_000, "self_imitation": 10.0}
         for preset in ("paper", "tuned")
     },
 }

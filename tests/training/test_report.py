@@ -147,8 +147,12 @@ def test_generalization(study: Path) -> None:
         "nominal": [nominal("11")],
         "workspace": [nominal("10", "workspace"), nominal("00", "workspace", "other")],
     }
-    write_run(study, "around", around, algorithm="clasp")
-    assert find(generalization(load_study(study)), algorithm="CLASP (ours)")["κ all around"].value == 0.5
+    for name, switches in (("plain", {}), ("symmetric", {"symmetry": True}), ("other", {"critics": 5})):
+        write_run(study, name, around, algorithm="clasp", switches=switches)
+    table = generalization(load_study(study))
+    assert find(table, algorithm="CLASP (ours)")["κ all around"].value == 0.5
+    assert find(table, algorithm="CLASP (ours), symmetry = true")["κ all around"].value == 0.5
+    assert "critics" not in table.markdown()
 
 
 def test_robustness_takes_level_zero_from_the_nominal_evaluation(study: Path) -> None:

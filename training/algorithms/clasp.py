@@ -22,9 +22,6 @@ class CLASP(TD3):
       expects of pi(s): self-imitation learning (Oh et al. 2018, eq. 2). Exploration noise shakes the arm off the paths
       it knows, and this shows it which of the ways back were good ones. It fades as nothing is better any more.
 
-    All of it happens in one part of the space (`symmetry`): by its mirror images an arm like the paper's is shown four
-    times what it is shown, and what it learns about one target it knows about four (:mod:`training.folding`).
-
     With `scaled_values`, which its presets leave off, these are against values divided by their mean magnitude, as in
     TD3+BC (Fujimoto and Gu 2021), whose regularization never ends. One critic, drawn at random, judges the actor.
     """

@@ -51,7 +51,6 @@ METHODS = ("batd3", "bc", "clasp", "td3wd", "rlpd", "rbl", "drldr", "td3", "her"
 OURS = "clasp"
 """The name of our own method."""
 OURS_SWITCHES: tuple[tuple[tuple[str, Any], ...], ...] = (
-    (("symmetry", False),),
     (("clone_start", False),),
     (("clone_anchor", 0.0),),
     (("self_imitation", 0.0),),
@@ -67,6 +66,8 @@ OURS_SWITCHES: tuple[tuple[tuple[str, Any], ...], ...] = (
 """What the ablation of our method changes in its learner, one change an entry."""
 UNHURRIED: tuple[tuple[str, Any], ...] = (("hindsight", 1), ("self_imitation", 0.0))
 """Hindsight in place of self-imitation: slower at first, it ends in shorter episodes, though it misses more targets."""
+SYMMETRIC: tuple[tuple[str, Any], ...] = (("symmetry", True),)
+"""The robot's mirror images made use of: for every method."""
 CHOICES = ("hard", "scaled")
 """Other ways for BATD3's targets to choose between clone and policy."""
 ABLATIONS = ("batd3", "batd3-no-bc", "batd3-no-prefill", "batd3-no-ensemble")
@@ -182,11 +183,14 @@ def paper_preset(budget: Budget) -> Iterator[Cell]:
 
 
 def symmetry(budget: Budget) -> Iterator[Cell]:
-    """All around the arm with the robot's mirror images made use of, and without: our method and others."""
+    """The robot's mirror images made use of, and not: all around the arm, and trained in Spatter or Anchor."""
     for seed in range(budget.seeds):
-        for algorithm in (OURS, "batd3", "bc", "td3wd"):
-            for switches in ((), (("symmetry", algorithm != OURS),)):
+        for switches in (SYMMETRIC, ()):
+            for algorithm in (OURS, "batd3", "bc", "td3wd"):
                 yield _spec(budget, algorithm, AROUND, seed, switches=switches), ("nominal",)
+            for space in ("spatter", "anchor"):
+                for algorithm in (OURS, "batd3"):
+                    yield _spec(budget, algorithm, space, seed, switches=switches), ("nominal", AROUND)
 
 
 def ours(budget: Budget) -> Iterator[Cell]:

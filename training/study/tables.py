@@ -11,7 +11,7 @@ import numpy as np
 
 from training.plants import AXES, Axis
 from training.study.cells import COST, TRAINED, Cell, Table, Value, amount, cost, measure, trained
-from training.study.grid import ABLATIONS, AROUND, COUNTS, OURS
+from training.study.grid import ABLATIONS, AROUND, COUNTS, OURS, SYMMETRIC
 from training.study.paper import DISTURBANCES, TABLE_4
 from training.study.plants import sweeps
 from training.study.records import DEMONSTRATIONS, JACOBIAN, SPACES, Run, at_home, grouped
@@ -81,8 +81,10 @@ def counted(runs: Iterable[Run]) -> list[Run]:
 
 
 def generalization(runs: Sequence[Run]) -> Table:
-    """Table III: trained in one space, tested in another, in the engine of training."""
-    chosen = [run for run in runs if run.setting.plain and run.setting.algorithm != JACOBIAN]
+    """Table III: trained in one space, tested in another, in the engine of training; and with symmetry made use of."""
+    symmetric = tuple((name, str(value).lower()) for name, value in SYMMETRIC)
+    chosen = [run for run in runs if run.setting.usual and run.setting.switches in ((), symmetric)]
+    chosen = [run for run in chosen if run.setting.algorithm != JACOBIAN]
     rows: list[list[Value]] = []
     for setting, group in grouped(chosen).items():
         rows.append([
