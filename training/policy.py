@@ -26,7 +26,8 @@ from training.networks import Actor
 Array = NDArray[np.float64]
 
 _WEIGHTS, _CARD = "policy.safetensors", "policy.json"
-_FORMAT = 1
+_FORMATS = {False: 1, True: 2}
+"""By whether the policy folds what it sees: to a version that knows no folding, format 2 is a stranger."""
 
 
 class Policy(Controller):
@@ -94,14 +95,13 @@ class Policy(Controller):
         actor = self.actor
         card = {
             **self.card,
-            "format": _FORMAT,
+            "format": _FORMATS[actor.folding is not None],
             "robot": self.robot.name,
             "robot_fingerprint": self.robot.fingerprint,
             "robot_description": self.robot.to_toml(),
             "centers": self.centers.tolist(),
             "network": {
                 "with_error": actor.encoder.with_error,
-                "symmetry": actor.folding is not None,
                 "hidden": [layer.out_features for layer in actor.net if isinstance(layer, torch.nn.Linear)][:-1],
                 "activation": "tanh" if isinstance(actor.net[1], torch.nn.Tanh) else "relu",
             },
@@ -126,13 +126,13 @@ def load_policy(folder: Path) -> Policy:
         raise CdcsrError(f"{folder} holds no policy: {_CARD} and {_WEIGHTS} are needed (made by `cdcsr train`).")
     try:
         card = json.loads((folder / _CARD).read_text("utf-8"))
-        if card["format"] != _FORMAT:
-            raise CdcsrError(f"{folder / _CARD} has format {card['format']}; this version reads format {_FORMAT}.")
+        if card["format"] not in _FORMATS.values():
+            raise CdcsrError(f"{folder / _CARD} has format {card['format']}; this version reads formats 1 and 2.")
         robot = parse_robot(card["robot_description"], str(folder / _CARD))
         if robot.fingerprint != card["robot_fingerprint"]:
             raise CdcsrError(f"{folder / _CARD}: the robot's description does not match its fingerprint.")
         network = card["network"]
-        symmetry = bool(network.get("symmetry", False))  # there are policies from before it existed
+        symmetry = card["format"] == _FORMATS[True]
         actor = Actor(robot, bool(network["with_error"]), tuple(network["hidden"]), network["activation"], symmetry)
         actor.load_state_dict(load_file(folder / _WEIGHTS))
         centers = np.array(card["centers"], dtype=np.float64).reshape(-1, 3)
