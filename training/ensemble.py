@@ -16,7 +16,7 @@ import torch
 from torch import Tensor, nn
 from torch.autograd.function import once_differentiable
 
-from training.kernels import Floats, back_normalize, back_rectify, normalize, rectify
+from training.kernels import Floats, back_head, back_normalize, back_rectify, head, normalize, rectify
 
 _LINE = 16  # numbers in a cache line; members begin at one
 _BLOCK = 256  # rows that go through a member at a time where no row needs another
@@ -29,7 +29,7 @@ class Layer(NamedTuple):
         weight: shape (n + 1, m); its last row is the bias.
         product, back: the weight without the bias, shape (n, m), and transposed, (m, n).
         gain, shift: of LayerNorm, shape (m,), or None.
-        small: bias, and gain and shift if there are, for the kernels.
+        small: bias, and gain and shift if there are, for the kernels; of the output, its weights as well.
     """
 
     weight: Tensor
@@ -79,6 +79,8 @@ class Ensemble(nn.Module):
             weight = next(pieces).view(n + 1, m)
             norm = (next(pieces), next(pieces)) if self.layer_norm and i < len(self.widths) - 2 else (None, None)
             small = [part.detach().numpy() for part in (weight[-1], *norm) if part is not None]
+            if m == 1:
+                small.append(weight.detach().numpy()[:-1, 0])
             layers.append(Layer(weight, weight[:-1], weight[:-1].T, *norm, small))
         return layers
 
@@ -98,14 +100,14 @@ class Ensemble(nn.Module):
         if not room.gradients:
             room.gradient = torch.zeros_like(self.rows)
             room.gradients = [self.layers(row) for row in room.gradient]
-        values = inputs.new_empty(len(self.rows), len(inputs), 1)
-        for value, layers, gradients in zip(values, room.layers, room.gradients, strict=True):
+        values = inputs.new_empty(len(self.rows), len(inputs))
+        wanted, share = target.numpy(), 2 / len(target)
+        for value, layers, gradients in zip(values.numpy(), room.layers, room.gradients, strict=True):
             _forward(layers, room, inputs, value)
-            slope = (value - target[:, None]).mul_(2 / len(target))
-            delta = _backward(layers, room, slope, gradients)
+            delta = _backward(layers, room, (value - wanted) * share, gradients)
             torch.mm(inputs.T, delta, out=gradients[0].product)
         self.rows.grad = room.gradient
-        return values.squeeze(-1)
+        return values
 
     def _room_for(self, inputs: Tensor) -> _Room:
         key = (self.rows.data_ptr(), len(inputs), inputs.dtype)  # the room's views keep the address from being reused
@@ -123,19 +125,19 @@ class _Values(torch.autograd.Function):
     @staticmethod
     def forward(ctx: Any, inputs: Tensor, ensemble: Ensemble, members: Sequence[int]) -> Tensor:
         inputs = inputs.contiguous()
-        values = inputs.new_empty(len(members), len(inputs), 1)
+        values = inputs.new_empty(len(members), len(inputs))
         slopes = inputs.new_empty(len(members), *inputs.shape) if ctx.needs_input_grad[0] else None
         for begin in range(0, len(inputs), _BLOCK):
             rows = slice(begin, begin + _BLOCK)
             part = inputs[rows]
-            room, ones = ensemble._room_for(part), part.new_ones(len(part), 1)
+            room, ones = ensemble._room_for(part), part.new_ones(len(part)).numpy()
             for i, member in enumerate(members):
                 layers = room.layers[member]
-                _forward(layers, room, part, values[i, rows])
+                _forward(layers, room, part, values.numpy()[i, rows])
                 if slopes is not None:
                     torch.mm(_backward(layers, room, ones), layers[0].back, out=slopes[i, rows])
         ctx.save_for_backward(slopes)
-        return values.squeeze(-1)
+        return values
 
     @staticmethod
     @once_differentiable
@@ -156,7 +158,7 @@ class _Room:
         after: the activations; without LayerNorm the same as `before`.
         delta: gradients with respect to either, shape (B, m).
         inverse: with LayerNorm, the inverse standard deviations.
-        unused: for gradients that nobody wants.
+        unused, unused_head: for gradients that nobody wants.
     """
 
     def __init__(self, ensemble: Ensemble, inputs: Tensor, key: tuple[int, int, torch.dtype]) -> None:
@@ -170,14 +172,15 @@ class _Room:
         self.delta = [pair[i % 2][: rows * m].view(rows, m) for i, m in enumerate(hidden)]
         self.inverse = [inputs.new_empty(rows).numpy() for _ in hidden]
         self.unused = [[inputs.new_empty(m).numpy() for _ in range(3)] for m in hidden]
+        self.unused_head = [inputs.new_empty(m).numpy() for m in (1, hidden[-1])]
         # The same memory, as the kernels take it.
         self.before_floats, self.after_floats, self.delta_floats = (
             [tensor.numpy() for tensor in tensors] for tensors in (self.before, self.after, self.delta)
         )
 
 
-def _forward(layers: list[Layer], room: _Room, inputs: Tensor, value: Tensor) -> None:
-    """From inputs to `value`, shape (B, 1)."""
+def _forward(layers: list[Layer], room: _Room, inputs: Tensor, value: Floats) -> None:
+    """From inputs to `value`, shape (B,)."""
     below = inputs
     for i, layer in enumerate(layers[:-1]):
         torch.mm(below, layer.product, out=room.before[i])
@@ -187,21 +190,23 @@ def _forward(layers: list[Layer], room: _Room, inputs: Tensor, value: Tensor) ->
             bias, gain, shift = layer.small
             normalize(room.before_floats[i], bias, gain, shift, room.inverse[i], room.after_floats[i])
         below = room.after[i]
-    torch.addmm(layers[-1].weight[-1], below, layers[-1].product, out=value)
+    bias, weight = layers[-1].small
+    head(room.after_floats[-1], weight, bias, value)
 
 
-def _backward(layers: list[Layer], room: _Room, slope: Tensor, gradients: list[Layer] | None = None) -> Tensor:
+def _backward(layers: list[Layer], room: _Room, slope: Floats, gradients: list[Layer] | None = None) -> Tensor:
     """From the gradient of `value`, right after `_forward`, to that of the first product.
 
     Fills `gradients`, but for the first product's.
     """
-    if gradients is not None:
-        torch.sum(slope, 0, out=gradients[-1].weight[-1])
-    delta = slope
+    last = room.unused_head if gradients is None else gradients[-1].small
+    back_head(slope, room.after_floats[-1], layers[-1].small[1], room.delta_floats[-1], last[1], last[0])
+    delta = room.delta[-1]
     for i in range(len(layers) - 2, -1, -1):
-        if gradients is not None:
-            torch.mm(room.after[i].T, delta, out=gradients[i + 1].product)
-        delta = torch.mm(delta, layers[i + 1].back, out=room.delta[i])
+        if i < len(layers) - 2:
+            if gradients is not None:
+                torch.mm(room.after[i].T, delta, out=gradients[i + 1].product)
+            delta = torch.mm(delta, layers[i + 1].back, out=room.delta[i])
         small = room.unused[i] if gradients is None else gradients[i].small
         if layers[i].gain is None:
             back_rectify(room.delta_floats[i], room.after_floats[i], small[0])

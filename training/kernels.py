@@ -115,3 +115,42 @@ def back_normalize(
             row[j] = (row[j] - mean - unit[j] * slope) * scale
         for j in range(width):
             bias_gradient[j] += row[j]
+
+
+@numba.njit(cache=True, fastmath=_FAST)
+def head(below: Floats, weight: Floats, bias: Floats, value: Floats) -> None:
+    """`value` becomes below @ weight + bias: the one output of a network.
+
+    Args:
+        below: shape (B, n).
+        weight, bias: shapes (n,) and (1,).
+        value: shape (B,).
+    """
+    for i in range(below.shape[0]):
+        row = below[i]
+        total = bias[0]
+        for j in range(below.shape[1]):
+            total += row[j] * weight[j]
+        value[i] = total
+
+
+@numba.njit(cache=True, fastmath=_FAST)
+def back_head(
+    slope: Floats, below: Floats, weight: Floats, delta: Floats, weight_gradient: Floats, bias_gradient: Floats
+) -> None:
+    """Take a gradient through `head`.
+
+    Args:
+        slope: with respect to what came out, shape (B,).
+        below, weight: what went in.
+        delta: becomes the gradient with respect to `below`, shape (B, n).
+        weight_gradient, bias_gradient: are overwritten.
+    """
+    weight_gradient[:], bias_gradient[:] = 0, 0
+    for i in range(below.shape[0]):
+        row, out, factor = below[i], delta[i], slope[i]
+        bias_gradient[0] += factor
+        for j in range(below.shape[1]):
+            out[j] = factor * weight[j]
+        for j in range(below.shape[1]):
+            weight_gradient[j] += factor * row[j]

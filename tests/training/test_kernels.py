@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from training.kernels import back_normalize, back_rectify, normalize, rectify
+from training.kernels import back_head, back_normalize, back_rectify, head, normalize, rectify
 
 
 @pytest.mark.parametrize("dtype", [np.float32, np.float64])
@@ -17,6 +17,18 @@ def test_one_row_by_hand(dtype: type) -> None:
     back_rectify(delta, x, gradient)
     assert delta.tolist() == [[5, 0, 0]]
     assert gradient.tolist() == [5, 0, 0]
+
+
+@pytest.mark.parametrize("dtype", [np.float32, np.float64])
+def test_an_output_by_hand(dtype: type) -> None:
+    below, weight, bias = np.array([[1, 2], [0, 3]], dtype), np.array([5, 7], dtype), np.array([1], dtype)
+    value = np.empty(2, dtype)
+    head(below, weight, bias, value)
+    assert value.tolist() == [20, 22]
+    delta, gradient, bias_gradient = np.empty((2, 2), dtype), np.full(2, 9, dtype), np.full(1, 9, dtype)
+    back_head(np.array([2, -1], dtype), below, weight, delta, gradient, bias_gradient)
+    assert delta.tolist() == [[10, 14], [-5, -7]]
+    assert (gradient.tolist(), bias_gradient.tolist()) == ([2, 1], [1])
 
 
 def test_nan_is_not_rectified_away() -> None:
