@@ -79,7 +79,7 @@ class Ensemble(nn.Module):
             weight = next(pieces).view(n + 1, m)
             norm = (next(pieces), next(pieces)) if self.layer_norm and i < len(self.widths) - 2 else (None, None)
             small = [part.detach().numpy() for part in (weight[-1], *norm) if part is not None]
-            if m == 1:
+            if i == len(self.widths) - 2:
                 small.append(weight.detach().numpy()[:-1, 0])
             layers.append(Layer(weight, weight[:-1], weight[:-1].T, *norm, small))
         return layers

@@ -93,6 +93,14 @@ def test_gradients_of_parameters(ensemble: Ensemble) -> None:
                 torch.testing.assert_close(layer.shift, norm.bias.grad)
 
 
+def test_a_hidden_layer_of_one_unit() -> None:
+    ensemble = Ensemble(INPUTS, (4, 1), 1, layer_norm=False).double()
+    inputs = rows()
+    torch.testing.assert_close(
+        ensemble.regress(inputs, torch.zeros(ROWS).double())[0], reference(ensemble, 0)(inputs)[:, 0]
+    )
+
+
 def test_padding_never_learns() -> None:
     ensemble = Ensemble(INPUTS, HIDDEN, MEMBERS, layer_norm=True)
     used = sum((n + 1) * m for n, m in pairwise(ensemble.widths)) + 2 * sum(HIDDEN)
