@@ -25,6 +25,7 @@ def evaluate(
     base_noise: float = 0.0,
     packet_loss: float = 0.0,
     json: Path | None = None,
+    plot: Path | None = None,
 ) -> None:
     """Measure one policy, or the scripted demonstrator, on held-out targets.
 
@@ -40,13 +41,14 @@ def evaluate(
         base_noise: standard deviation of noise on the observed base position, in [m].
         packet_loss: probability that an observation is lost.
         json: also write the results, each episode included, to this file.
+        plot: also draw which targets are reached, a panel for each cell, to this PNG.
     """
     from cdcsr.disturbances import Disturbances
 
     _set_threads()
     controller, description = find_controller(policy, robot)
     spaces = [space or trained_space(controller)]
-    _report([controller], description, backend, spaces, episodes, seed, json,
+    _report([controller], description, backend, spaces, episodes, seed, json, plot,
             Disturbances(action_noise, base_noise, packet_loss), task or trained_task(controller))  # fmt: skip
 
 
@@ -60,6 +62,7 @@ def transfer(
     episodes: int = 100,
     seed: int | None = None,
     json: Path | None = None,
+    plot: Path | None = None,
 ) -> None:
     """Measure policies in every engine and space: the transfer matrix.
 
@@ -71,6 +74,7 @@ def transfer(
         episodes: in each cell, run as one batch.
         seed: of the targets; by default the one that nothing is tuned on.
         json: also write the results, each episode included, to this file.
+        plot: also draw which targets are reached, a panel for each cell, to this PNG.
     """
     from cdcsr.errors import CdcsrError
     from cdcsr.robot import load_robot
@@ -95,7 +99,7 @@ def transfer(
     tasks = [task] if task else sorted({policy.task for policy in learned}) or ["reach"]
     if len(tasks) > 1:
         raise CdcsrError(f"The policies were trained for different tasks ({', '.join(tasks)}); choose one with --task.")
-    _report(controllers, robot, backend, spaces, episodes, seed, json, None, tasks[0])
+    _report(controllers, robot, backend, spaces, episodes, seed, json, plot, None, tasks[0])
 
 
 def demo(out: Path, minutes: float = 8.0, json: Path | None = None) -> None:
@@ -109,6 +113,7 @@ def demo(out: Path, minutes: float = 8.0, json: Path | None = None) -> None:
         out: the folder of everything.
         minutes: of training, at most. With more, a demo whose training ran out of them goes on.
         json: also write the results, each episode included, to this file.
+        plot: also draw which targets are reached, a panel for each cell, to this PNG.
     """
     from cdcsr.errors import CdcsrError
     from cdcsr.files import write_json
@@ -129,10 +134,11 @@ def _report(
     episodes: int,
     seed: int | None,
     json: Path | None,
+    plot: Path | None,
     disturbances: object,
     task: str,
 ) -> None:
-    """Measure, print the table, and write the JSON file."""
+    """Measure, print the table, write the JSON file and draw the picture."""
     from cdcsr.disturbances import Disturbances
     from cdcsr.files import write_json
     from cdcsr.simulation import chosen_backends
@@ -155,6 +161,16 @@ def _report(
         write_json(
             json, {"task": task, "seed": seed, "cells": [cell.as_dict() for cell in cells], "disagreements": pairs}
         )
+    if plot is not None:
+        from training.figures import targets_picture
+        from training.style import engine_title
+
+        panels = {
+            f"{cell.controller} in {engine_title(cell.backend)}" + (f", {cell.space}" if len(spaces) > 1 else ""): cell
+            for cell in cells
+        }
+        targets_picture({title: cell.result for title, cell in panels.items()}, robot, plot)
+        print(f"\ndrawn to {plot}")
 
 
 def _set_threads() -> None:

@@ -81,10 +81,11 @@ def targets_picture(results: Mapping[str, Result], robot: Robot, path: Path) -> 
     low, high = everything.min(axis=0), everything.max(axis=0)
     columns = min(2, len(results))
     rows = -(-len(results) // columns)
-    with drawn(path, (1.9 + 3.1 * columns, 0.5 + 3.1 * rows)) as figure:
+    height = 1.1 + 3.1 * rows
+    with drawn(path, (1.9 + 3.1 * columns, height)) as figure:
         grid = figure.add_gridspec(
             rows, columns + 1, width_ratios=[0.6] + [1] * columns,
-            left=0.0, right=0.98, bottom=0.06, top=0.96, wspace=0.0, hspace=0.08,
+            left=0.0, right=0.98, bottom=0.6 / height, top=1 - 0.25 / height, wspace=0.0, hspace=0.08,
         )  # fmt: skip
         overview = _space(figure, grid[:, 0])
         span = 2 * robot.top + robot.arm_length
@@ -96,7 +97,8 @@ def targets_picture(results: Mapping[str, Result], robot: Robot, path: Path) -> 
         overview.set_axis_off()
         for i, (name, result) in enumerate(results.items()):
             axes = _space(figure, grid[i // columns, 1 + i % columns])
-            axes.set_title(f"{name}: {int(result.success.sum())} of {len(result.success)} reached", y=0.95)
+            title = f"{name}\n{int(result.success.sum())} of {len(result.success)} reached"
+            axes.set_title(title, y=0.95, fontsize=9)
             _frame(axes, (low + high) / 2, np.full(3, 0.52 * (high - low).max() + 1e-3))
             _draw_arm(axes, robot)
             _draw_targets(axes, result)

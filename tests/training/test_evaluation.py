@@ -108,7 +108,9 @@ def test_disagreement_is_paired() -> None:
 
 def test_transfer_command_writes_every_cell(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     out = tmp_path / "transfer.json"
-    commands.transfer(["jacobian"], episodes=3, space="anchor", json=out)
+    plot = tmp_path / "targets.png"
+    commands.transfer(["jacobian"], episodes=3, space="anchor", json=out, plot=plot)
+    assert plot.read_bytes().startswith(b"\x89PNG")
     data = json.loads(out.read_text())
     assert [(c["backend"], c["success_rate"]) for c in data["cells"]] == [("mujoco", 1.0), ("pybullet", 1.0)]
     assert data["disagreements"][0]["share"] == 0
