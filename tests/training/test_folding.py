@@ -10,17 +10,19 @@ import pytest
 import torch
 from numpy.typing import NDArray
 
+from cdcsr.envs import ReachVectorEnv
 from cdcsr.observation import TARGET, observation_size
 from cdcsr.robot import Robot, load_robot
 from cdcsr.symmetry import images
 from cdcsr.tasks import make_task
+from controllers.demonstrations import rollout
 from training.algorithms.bc import BehaviourCloning
 from training.collector import FinishedEpisode
 from training.config import Learner
 from training.folding import Folding
 from training.memory import Memory
 from training.networks import Actor
-from training.policy import Policy, load_policy
+from training.policy import Policy, find_policy, load_policy
 
 _LEARNER = Learner(hidden=(16,), symmetry=True, batch_size=8, capacity=100, bc_updates=50)
 
@@ -104,6 +106,23 @@ def test_a_policy_keeps_that_it_folds(robot: Robot, tmp_path: Path) -> None:
         Policy(actor, robot, np.ones((2, 3)), {"name": "test", "frame_skip": 1}).save(folder)
         read = load_policy(folder).actor
         torch.testing.assert_close(read.command(observation), actor.command(observation), rtol=0, atol=0)
+
+
+@pytest.mark.parametrize("engine", ["mujoco", "pybullet"])
+def test_images_of_a_target_are_reached_along_images_of_one_path(engine: str) -> None:
+    policy = find_policy("clasp-workspace-mujoco")
+    known = images(policy.robot)
+    target = np.array([0.12, 0.21, 2.4])
+    targets = np.array([target * image.signs[TARGET] for image in known])
+    env = ReachVectorEnv(len(known), policy.robot, engine, autoreset_mode="Disabled")
+    observation, _ = env.reset(options={"targets": targets})
+    outcome = rollout(policy, env, observation)
+    env.close()
+    lengths = [len(episode.actions) for episode in outcome.successes()]
+    assert lengths == [lengths[0]] * 4
+    tips = [episode.observations for episode in outcome.successes()]
+    for image, seen in zip(known, tips, strict=True):
+        np.testing.assert_allclose(seen, image.observation(tips[0]), atol=1e-3)  # single precision, fed back
 
 
 def test_off_by_default() -> None:
