@@ -113,7 +113,6 @@ def demo(out: Path, minutes: float = 8.0, json: Path | None = None) -> None:
         out: the folder of everything.
         minutes: of training, at most. With more, a demo whose training ran out of them goes on.
         json: also write the results, each episode included, to this file.
-        plot: also draw which targets are reached, a panel for each cell, to this PNG.
     """
     from cdcsr.errors import CdcsrError
     from cdcsr.files import write_json
