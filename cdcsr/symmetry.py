@@ -56,14 +56,16 @@ def images(robot: Robot) -> list[Image]:
 
 
 def _cables(robot: Robot, x: int, y: int) -> list[int] | None:
-    """For each cable the one that it is the image of; None if one has no image."""
+    """For each cable the one that it is the image of; None if one has none, or cables of one angle leave it open."""
+    if x == y == 1:
+        return list(range(robot.num_cables))
     cables: list[int] = []
     for segment in robot.segments:
         angles = np.array(segment.cables.angles_deg)
         turned = angles if x > 0 else 180 - angles
         turned = turned if y > 0 else -turned
         apart = np.abs((turned[:, None] - angles + 180) % 360 - 180)  # (image, cable)
-        if (apart.min(0) > _TOLERANCE_DEG).any():
+        if (apart.min(0) > _TOLERANCE_DEG).any() or len(set(apart.argmin(0))) < len(angles):
             return None
         cables += (len(cables) + apart.argmin(0)).tolist()
     return cables

@@ -57,9 +57,8 @@ class Policy(Controller):
 
     @property
     def digest(self) -> str:
-        """Of the weights, and of whether it folds: equal for policies that act alike to the bit."""
-        folds = b"" if self.actor.folding is None else b"folded"
-        return hashlib.sha256(save(self._weights()) + folds).hexdigest()[:16]
+        """Of the weights: of policies of one run, equal for those that act alike to the bit."""
+        return hashlib.sha256(save(self._weights())).hexdigest()[:16]
 
     def _weights(self) -> dict[str, torch.Tensor]:
         return {name: tensor.contiguous() for name, tensor in self.actor.state_dict().items()}

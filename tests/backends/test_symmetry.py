@@ -55,6 +55,13 @@ def test_images(robot: Robot, names: list[str]) -> None:
     assert [image.name for image in images(robot)] == names
 
 
+def test_cables_of_one_angle_are_not_mixed_up() -> None:
+    data = load_robot("paper").model_dump()
+    data["segments"][0]["cables"]["angles_deg"] = [0, 0, 90, 180, 270]
+    (only,) = images(Robot.model_validate(data))
+    assert only.cables.tolist() == list(range(9))
+
+
 def test_cables_of_the_papers_images() -> None:
     """By hand: cables 0 to 3 are at 0, 90, 180 and 270 degrees, 4 to 7 at 45, 135, 225 and 315."""
     cables = {image.name: image.cables.tolist() for image in images(load_robot("paper"))}

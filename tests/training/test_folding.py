@@ -101,15 +101,12 @@ def test_a_clone_learns_the_same_from_every_image(robot: Robot) -> None:
 
 def test_a_policy_keeps_that_it_folds(robot: Robot, tmp_path: Path) -> None:
     observation = torch.from_numpy(_observations(robot)).float()
-    digests = set()
     for symmetry in (True, False):
         torch.manual_seed(0)
         actor, folder = Actor(robot, True, (16,), "relu", symmetry), tmp_path / str(symmetry)
         Policy(actor, robot, np.ones((2, 3)), {"name": "test", "frame_skip": 1}).save(folder)
         read = load_policy(folder)
         torch.testing.assert_close(read.actor.command(observation), actor.command(observation), rtol=0, atol=0)
-        digests.add(read.digest)
-    assert len(digests) == 2  # of the same weights
 
 
 @pytest.mark.parametrize("engine", ["mujoco", "pybullet"])
