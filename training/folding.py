@@ -26,8 +26,8 @@ class Folded(NamedTuple):
 class Folding(nn.Module):
     """Replaces an observation by one of its images under the symmetries of the robot, the same for each of them.
 
-    A policy that acts through it does in every image of a situation the image of what it does there: it is
-    equivariant, but for targets on a mirror plane, whose images tie, and has to learn, and to be shown, no more than one part of the space. It has no parameters.
+    A policy that acts through it does in every image of a situation the image of what it does there, but for targets
+    on a mirror plane, whose images tie. It has to learn, and to be shown, no more than one part of the space.
 
     Args:
         robot: the description.
