@@ -270,8 +270,6 @@ class Train:
         data["demonstrations"] = None if self.demonstrations is None else str(self.demonstrations)
         if not self.randomize:
             del data["randomize"]  # runs from before it existed go on
-        if not self.learner.symmetry:
-            del data["learner"]["symmetry"]
         data["learner"]["hidden"] = list(self.learner.hidden)
         return data
 

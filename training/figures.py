@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import textwrap
 from collections.abc import Mapping, Sequence
 from functools import partial
 from itertools import cycle
@@ -97,7 +98,7 @@ def targets_picture(results: Mapping[str, Result], robot: Robot, path: Path) -> 
         overview.set_axis_off()
         for i, (name, result) in enumerate(results.items()):
             axes = _space(figure, grid[i // columns, 1 + i % columns])
-            title = f"{name}\n{int(result.success.sum())} of {len(result.success)} reached"
+            title = f"{textwrap.fill(name, 44)}\n{int(result.success.sum())} of {len(result.success)} reached"
             axes.set_title(title, y=0.95, fontsize=9)
             _frame(axes, (low + high) / 2, np.full(3, 0.52 * (high - low).max() + 1e-3))
             _draw_arm(axes, robot)

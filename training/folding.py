@@ -17,8 +17,8 @@ class Folded(NamedTuple):
     """Observations as a network is to see them."""
 
     observation: Tensor
-    """(..., 23 + C) with the target where x + y of all its images is largest: with both mirrors in the quarter in
-    which neither is negative."""
+    """(..., 23 + C) with the target on the workspace's side: with both mirrors, in the quarter that its centre is in,
+    where x and y that are zero count as positive."""
     cables: Tensor
     """(..., C) where each cable's command is to be taken from, there and back."""
 
@@ -34,12 +34,16 @@ class Folding(nn.Module):
     """
 
     signs: Tensor
+    toward: Tensor
     orders: Tensor
     cables: Tensor
 
     def __init__(self, robot: Robot) -> None:
         super().__init__()
         known = images(robot)
+        # Where learning is asked to happen: what encodes observations is centred there, too.
+        toward = torch.tensor([-1.0 if x < 0 else 1.0 for x in robot.workspace.center[:2]])
+        self.register_buffer("toward", toward, persistent=False)
         for name in ("signs", "order", "cables"):
             rows = torch.from_numpy(np.stack([getattr(image, name) for image in known]))
             rows = rows.float() if name == "signs" else rows
@@ -47,6 +51,6 @@ class Folding(nn.Module):
 
     def forward(self, observation: Tensor) -> Folded:
         """Of observations (eq. (1)), shape (..., 23 + C)."""
-        across = (observation[..., TARGET][..., None, :2] * self.signs[:, TARGET][:, :2]).sum(-1)
+        across = (observation[..., TARGET][..., None, :2] * self.signs[:, TARGET][:, :2] * self.toward).sum(-1)
         which = across.argmax(-1)
         return Folded(observation.gather(-1, self.orders[which]) * self.signs[which], self.cables[which])

@@ -21,6 +21,7 @@ from cdcsr.randomization import Randomization
 from cdcsr.robot import Robot, load_robot
 from cdcsr.simulation import load_backend
 from cdcsr.spaces import demonstration_space, make_space
+from cdcsr.symmetry import images
 from cdcsr.task import Reward
 from cdcsr.tasks import actions_per_episode, make_task
 from controllers import demonstrations
@@ -68,6 +69,8 @@ class Run:
         task = make_task(config.task)
         if config.learner.discount == 1 and not task.ends:
             raise CdcsrError(f"discount must be below 1 for {config.task!r}, which pays for every action on target.")
+        if config.learner.symmetry and len(images(self.robot)) == 1:
+            raise CdcsrError(f"symmetry must be off: the cables of {self.robot.name!r} have no mirror image.")
         self._check_memory(actions_per_episode(task.max_steps, config.frame_skip))
         self.reward: Reward = "sparse" if config.algorithm == "bc" else ALGORITHMS[config.algorithm].reward
         self.episodes = self._demonstrations()

@@ -18,7 +18,7 @@ from cdcsr.errors import CdcsrError
 from cdcsr.robot import load_robot
 from controllers.controller import Controller
 from controllers.jacobian import JacobianController
-from training import commands
+from training import commands, figures
 from training.evaluation import TEST_SEED, VALIDATION_SEED, Result, evaluate, wilson
 from training.networks import Actor
 from training.policy import Policy, find_policy
@@ -108,13 +108,21 @@ def test_disagreement_is_paired() -> None:
 
 def test_transfer_command_writes_every_cell(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     out = tmp_path / "transfer.json"
-    plot = tmp_path / "targets.png"
-    commands.transfer(["jacobian"], episodes=3, space="anchor", json=out, plot=plot)
-    assert plot.read_bytes().startswith(b"\x89PNG")
+    commands.transfer(["jacobian"], episodes=3, space="anchor", json=out)
     data = json.loads(out.read_text())
     assert [(c["backend"], c["success_rate"]) for c in data["cells"]] == [("mujoco", 1.0), ("pybullet", 1.0)]
     assert data["disagreements"][0]["share"] == 0
     assert "| jacobian" in capsys.readouterr().out
+
+
+def test_each_cell_is_a_panel_of_the_plot(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    drawn: dict[Path, list[str]] = {}
+    monkeypatch.setattr(figures, "targets_picture", lambda results, _, path: drawn.update({path: list(results)}))
+    one, all_spaces = tmp_path / "one.png", tmp_path / "all.png"
+    commands.evaluate("jacobian", episodes=1, space="anchor", plot=one)
+    assert drawn[one] == ["jacobian in MuJoCo", "jacobian in PyBullet"]
+    commands.transfer(["jacobian"], episodes=1, backend="mujoco", plot=all_spaces)
+    assert drawn[all_spaces] == [f"jacobian in MuJoCo, {space}" for space in ("anchor", "floating", "spatter")]
 
 
 def test_policies_of_one_name_are_told_apart(tmp_path: Path) -> None:

@@ -11,18 +11,20 @@ import torch
 from numpy.typing import NDArray
 
 from cdcsr.envs import ReachVectorEnv
+from cdcsr.errors import CdcsrError
 from cdcsr.observation import TARGET, observation_size
 from cdcsr.robot import Robot, load_robot
 from cdcsr.symmetry import images
 from cdcsr.tasks import make_task
 from controllers.demonstrations import rollout
 from training.algorithms.bc import BehaviourCloning
-from training.collector import FinishedEpisode
-from training.config import Learner
+from training.collector import Collector, FinishedEpisode
+from training.config import Learner, Train, learner_for
 from training.folding import Folding
 from training.memory import Memory
 from training.networks import Actor
 from training.policy import Policy, find_policy, load_policy
+from training.trainer import train
 
 _LEARNER = Learner(hidden=(16,), symmetry=True, batch_size=8, capacity=100, bc_updates=50)
 
@@ -82,6 +84,71 @@ def test_rows_are_stored_folded(robot: Robot) -> None:
 def _clone(robot: Robot) -> BehaviourCloning:
     torch.manual_seed(0)
     return BehaviourCloning(robot, _LEARNER, torch.Generator().manual_seed(0))
+
+
+def test_what_is_collected_is_what_the_actor_does_in_the_folded_frame() -> None:
+    """Exploration folds, and each row is stored in its own frame: targets here drift across a mirror plane."""
+    robot = load_robot("paper")
+    torch.manual_seed(0)
+    actor, learner = Actor(robot, True, (16,), "relu", symmetry=True), dataclasses.replace(_LEARNER, capacity=2000)
+    env = ReachVectorEnv(2, robot, "mujoco", "anchor", frame_skip=5, task="capture-drift")
+    collector = Collector(env, 0.0, 1, np.random.default_rng(0))
+    collector.start(seed=0)
+    collector._observation, _ = env.reset(seed=0, options={"targets": np.array([[0.01, 0.004, 2.5], [0.3, 0.02, 2.4]])})
+    memory, crossed = Memory(robot, learner, None, env.task), 0
+    for _ in range(100):
+        for episode in collector.step(actor):
+            crossed += np.ptp(np.sign(episode.observations[:, TARGET][:, :2]), axis=0).any()
+            memory.add(episode, np.random.default_rng(0))
+    env.close()
+    assert crossed
+    rows = memory.replays["replay"]
+    stored = {name: torch.from_numpy(values[: rows.size]) for name, values in rows.rows.items()}
+    taken = stored["successor"] >= 0
+    with torch.no_grad():
+        expected = actor(actor.encoder(stored["observation"]))
+    assert (stored["observation"][:, TARGET][:, :2] >= 0).all()
+    torch.testing.assert_close(stored["action"][taken], expected[taken], rtol=0, atol=1e-5)
+
+
+@pytest.mark.parametrize("averaged", [True, False])
+def test_a_trained_policy_folds_and_so_does_its_clone(tmp_path: Path, averaged: bool) -> None:
+    learner = dataclasses.replace(
+        learner_for("batd3", "tuned"), symmetry=True, hidden=(16,), batch_size=32, num_envs=2, updates=40,
+        bc_updates=20, bc_rollouts=2, averaged_policy=averaged,
+    )  # fmt: skip
+    out = tmp_path / "run"
+    train(Train(out, frame_skip=5, num_demonstrations=1, evaluate_every=0, evaluate_episodes=1, learner=learner))
+    robot = load_robot("paper")
+    observations = _observations(robot)
+    for folder in (out, out / "clone"):
+        actor = load_policy(folder).actor
+        image = images(robot)[1]
+        with torch.no_grad():
+            one, other = (
+                actor.command(torch.from_numpy(rows).float()).numpy()
+                for rows in (observations, image.observation(observations))
+            )
+        np.testing.assert_allclose(other, image.command(one), atol=1e-5)
+
+
+def test_it_is_refused_for_a_robot_without_an_image(tmp_path: Path) -> None:
+    text = load_robot("planar-single").to_toml().replace("90.0", "80.0")
+    path = tmp_path / "odd.toml"
+    path.write_text(text)
+    assert len(images(load_robot(str(path)))) == 1
+    with pytest.raises(CdcsrError, match="symmetry must be off"):
+        train(Train(tmp_path / "run", robot=str(path), learner=_LEARNER))
+    assert not (tmp_path / "run").exists()
+
+
+def test_targets_are_folded_to_where_the_workspace_is() -> None:
+    data = load_robot("paper").model_dump()
+    data["workspace"]["center"] = (-0.2, 0.1, 2.45)
+    observations = torch.from_numpy(_observations(load_robot("paper")))
+    folded = Folding(Robot.model_validate(data))(observations).observation[:, TARGET]
+    assert (folded[:, 0] <= 0).all()
+    assert (folded[:, 1] >= 0).all()
 
 
 def test_a_clone_learns_the_same_from_every_image(robot: Robot) -> None:

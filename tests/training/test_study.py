@@ -7,6 +7,7 @@ import shutil
 from collections import Counter
 from dataclasses import asdict, replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 from tiny import TINY, TINY_BUDGET, tiny_job
@@ -72,6 +73,7 @@ def test_every_experiment_is_said_and_has_each_seed(budget: Budget) -> None:
     both = collect(["table2", "table4"], budget)
     assert sorted(both) == sorted({*names["table2"], *names["table4"]})
     assert both[f"batd3-tuned_spatter_mujoco_d10_u{budget.updates}_s0"][1] == ("nominal", "disturbances")
+    assert {evaluations for _, evaluations in collect(["table3"], budget).values()} == {("nominal", "workspace")}
     seeds = [spec.seed for spec, _ in collect(list(EXPERIMENTS), budget).values()]
     assert seeds == sorted(seeds)
 
@@ -88,6 +90,20 @@ def test_the_demonstrator_follows_what_moves() -> None:
     assert all(sample.tip_error < 0.03 for sample in settled)
     assert 0 < max(sample.base_position_error for sample in settled) < 0.01
     assert 0 < max(sample.base_attitude_error for sample in settled) < 0.1
+
+
+def test_around_is_all_around_the_arm_wherever_a_policy_was_trained(monkeypatch: pytest.MonkeyPatch) -> None:
+    robot, asked = load_robot("paper"), []
+
+    def measured(*arguments: object, **_: object) -> object:
+        asked.append(arguments[2:4])
+        return SimpleNamespace(success=[True], length=[100], distance=[0.02])
+
+    monkeypatch.setattr(evaluations, "evaluate", measured)
+    subject = evaluations.Subject(RunSpec("batd3", space="spatter"), JacobianController(robot), robot)
+    rows = list(EVALUATIONS["workspace"].measure(subject, 1))
+    assert asked == [("mujoco", "workspace"), ("pybullet", "workspace")]
+    assert [row[:2] for row in rows] == asked
 
 
 def test_a_file_with_too_few_episodes_is_not_done(tmp_path: Path) -> None:
