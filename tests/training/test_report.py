@@ -157,9 +157,20 @@ def test_generalization(study: Path) -> None:
 
 def test_robustness_takes_level_zero_from_the_nominal_evaluation(study: Path) -> None:
     table = robustness(load_study(study))
-    assert find(table, what="σ_a", level=0.0)["κ Anchor"].value == pytest.approx(2 / 3)
-    assert find(table, what="σ_a", level=0.5)["κ Anchor"].value == 0.25
-    assert find(table, what="p", level=1.0)["κ Anchor"] is None
+    batd3 = {"algorithm": "BATD3"}
+    assert find(table, what="σ_a", level=0.0, **batd3)["κ Anchor"].value == pytest.approx(2 / 3)
+    assert find(table, what="σ_a", level=0.5, **batd3)["κ Anchor"].value == 0.25
+    assert find(table, what="p", level=1.0, **batd3)["κ Anchor"] is None
+
+
+def test_robustness_says_what_nobody_reaches(study: Path) -> None:
+    # Under noise this run reaches the last target only, and all others the first only: together two of four.
+    noise = [("mujoco", "anchor", "action_noise", 0.5, "0001")]
+    write_run(study, "other", {"nominal": [nominal("0001")], "disturbances": noise}, algorithm="clasp", seed=3)
+    table = robustness(load_study(study))
+    assert find(table, what="σ_a", level=0.0, algorithm="any run")["κ Anchor"].value == 1
+    assert find(table, what="σ_a", level=0.5, algorithm="any run")["κ Anchor"].value == 0.5
+    assert find(table, what="p", level=1.0, algorithm="any run")["κ Anchor"] is None
 
 
 def test_transfer_counts_paired_disagreements(study: Path) -> None:

@@ -8,20 +8,23 @@ from itertools import combinations, product
 from typing import Literal
 
 import numpy as np
+from numpy.typing import NDArray
 
 from training.plants import AXES, Axis
 from training.study.cells import COST, TRAINED, Cell, Table, Value, amount, cost, measure, trained
 from training.study.grid import ABLATIONS, AROUND, COUNTS, OURS, SYMMETRIC
 from training.study.paper import DISTURBANCES, TABLE_4
 from training.study.plants import sweeps
-from training.study.records import DEMONSTRATIONS, JACOBIAN, SPACES, Run, at_home, grouped
-from training.study.statistics import Sweep, disagreement, halving
+from training.study.records import DEMONSTRATIONS, JACOBIAN, SPACES, Episodes, Run, at_home, grouped
+from training.study.statistics import Sweep, disagreement, halving, rate
 from training.style import ENGINES, algorithm_title, engine_title
 
 COMPARED = ("bc", "batd3", OURS, "td3wd", "rbl", "td3", "her", "rlpd", "drldr", JACOBIAN)
 """Rows of Table II, run or not."""
 COUNTED = ("batd3", OURS, "td3wd", "bc")
 """Algorithms whose number of demonstrations varies."""
+ANYBODY = "any run"
+"""Stands where an algorithm would, in the row of what at least one run reaches."""
 ALL_COUNTS = tuple(sorted((*COUNTS, DEMONSTRATIONS)))
 SIDES: tuple[Literal["below", "above"], ...] = ("below", "above")
 _SYMMETRIC = tuple((name, str(value).lower()) for name, value in SYMMETRIC)
@@ -115,11 +118,31 @@ def robustness(runs: Sequence[Run]) -> Table:
                     cell = disturbed(at_home(group, space), axis, level, space)
                     values += [cell.success, cell.length] if cell else [None, None]
                 rows.append([letter, level, *trained(setting), *values, *cost(group)])
+            rows.append([letter, level, ANYBODY, *_anybody(chosen, axis, level)])
             if not any(setting.algorithm == "batd3" for setting in groups):
                 rows.append([letter, level, algorithm_title("batd3"), "-", ENGINES["mujoco"], *[None] * 6, *cost(None)])
     columns = [name for title in SPACES.values() for name in (f"κ {title}", f"l_epi {title}")]
-    note = basis(chosen) + " Seeds are counted over the three spaces together."
+    note = basis(chosen) + (
+        " Seeds are counted over the three spaces together. `any run` counts the targets that at least one of them"
+        " reaches under that disturbance: how much of a loss is no policy's."
+    )
     return Table("table4", "Table IV: robustness", note, ("what", "level", *TRAINED, *columns, *COST), rows)
+
+
+def _anybody(runs: Sequence[Run], axis: str, level: float) -> list[Value]:
+    """The rest of a row: the share of targets that at least one run reaches under a disturbance, in each space."""
+    values: list[Value] = []
+    for space in SPACES:
+        cell = disturbed(at_home(runs, space), axis, level, space)
+        values += [rate([_united(cell.episodes)]) if cell else None, "-"]
+    return ["-", "-", *values, *["-"] * len(COST)]
+
+
+def _united(found: Sequence[Episodes]) -> NDArray[np.bool_]:
+    """Of each target that occurs, whether any of them succeeds there."""
+    targets = np.concatenate([one.episode for one in found])
+    success = np.concatenate([one.success for one in found])
+    return np.isin(np.unique(targets), targets[success])
 
 
 def disturbed(runs: Sequence[Run], axis: str, level: float, space: str) -> Cell | None:
