@@ -64,6 +64,29 @@ class Around:
         return center + direction * self.radius * np.cbrt(rng.random((num, 1)))
 
 
+@dataclass(frozen=True)
+class Beyond:
+    """A space and what lies around it, for practice: half of its targets are moved from where the space has them."""
+
+    space: Space
+    distance: float
+    """How far they are moved at most, in [m]."""
+    axes: tuple[bool, bool, bool] = (True, True, True)
+    """World axes along which they may be; for an arm in a plane, those of the plane."""
+
+    @property
+    def name(self) -> str:
+        return self.space.name
+
+    def sample(self, rng: np.random.Generator, num: int) -> Array:
+        target = self.space.sample(rng, num)
+        direction = rng.normal(size=(num, 3)) * self.axes
+        direction /= np.linalg.norm(direction, axis=1, keepdims=True)
+        # The root makes the density uniform in the ball, or disc.
+        far = self.distance * rng.random((num, 1)) ** (1 / sum(self.axes))
+        return np.where(rng.random((num, 1)) < 0.5, target + far * direction, target)
+
+
 def demonstration_targets(robot: Robot, num: int = 10, seed: int = 0) -> Array:
     """The targets of demonstrations, shape (num, 3): drawn in the Anchor Space."""
     return anchor(robot).sample(np.random.default_rng(seed), num)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
@@ -25,6 +26,9 @@ class Learner:
     symmetry: bool = False
     """See every situation as that of its mirror images, under which the robot is itself, whose target lies in a part of
     the space: one quarter of it, for arms like the paper's. What is learned there then holds everywhere."""
+    practice: float = 0.0
+    """Half of the targets that are practised on are up to this far, in [m], from where the space has them, so that what
+    is learned does not end where the space does. Demonstrations and measurements stay in the space."""
     hidden: tuple[int, ...] = (256, 256, 256)
     """Width of the hidden layers of every network."""
     layer_norm: bool = False
@@ -242,6 +246,8 @@ class Train:
         for name in ("learning_rate", "bc_learning_rate"):
             if not getattr(learner, name) > 0:
                 raise CdcsrError(f"{name} must be positive, not {getattr(learner, name)}.")
+        if not 0 <= learner.practice < math.inf:
+            raise CdcsrError(f"practice must be a distance in [m], or 0, not {learner.practice}.")
         if not 0 <= learner.kept_share < 1:
             raise CdcsrError(f"kept_share must lie in [0, 1), not {learner.kept_share}.")
         if not 0 < learner.discount <= 1:

@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 import pytest
 from scipy import stats
 
 from cdcsr.errors import CdcsrError
 from cdcsr.robot import load_robot
-from cdcsr.spaces import SPACES, demonstration_targets, make_space
+from cdcsr.spaces import SPACES, Beyond, demonstration_targets, make_space
 
 PAPER = load_robot("paper")
 CENTERS = np.array([[0.0, 0.0, 0.0], [10.0, 0.0, 0.0], [0.0, 20.0, 0.0]])
@@ -64,6 +66,31 @@ def test_around_fills_balls_evenly(name: str, radius: float) -> None:
     for axis in range(3):
         assert stats.kstest(offset[:, axis] / distance, "uniform", args=(-1, 2)).pvalue > LEAST_P
     assert stats.chisquare(np.bincount(nearest)).pvalue > LEAST_P
+
+
+@pytest.mark.parametrize(("axes", "dimensions"), [((True, True, True), 3), ((True, False, True), 2)])
+def test_practice_moves_half_of_the_targets_evenly(axes: tuple[bool, bool, bool], dimensions: int) -> None:
+    inner = Points(np.array([[0.1, 0.2, 0.3]]))
+    offset = Beyond(inner, 0.4, axes).sample(rng(), NUM) - inner.points
+    distance = np.linalg.norm(offset, axis=1)
+    moved = distance > 1e-12
+    assert stats.binomtest(int(moved.sum()), NUM, 0.5).pvalue > LEAST_P
+    # Within a ball (r / radius)^3 is uniform, within a disc its square.
+    assert stats.kstest((distance[moved] / 0.4) ** dimensions, "uniform").pvalue > LEAST_P
+    assert np.array_equal(np.ptp(offset, axis=0) > 0, axes)
+    for axis in np.flatnonzero(axes):
+        assert stats.binomtest(int((offset[moved, axis] > 0).sum()), int(moved.sum()), 0.5).pvalue > LEAST_P
+
+
+@dataclass(frozen=True)
+class Points:
+    """A space of few targets."""
+
+    points: np.ndarray
+    name: str = "points"
+
+    def sample(self, rng: np.random.Generator, num: int) -> np.ndarray:
+        return self.points[rng.integers(len(self.points), size=num)]
 
 
 @pytest.mark.parametrize("name", ["floating", "spatter"])

@@ -12,14 +12,19 @@ from typing import Any
 
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 from safetensors.torch import load_file
 from tiny import FRAME_SKIP
 
 from cdcsr.cli import run
 from cdcsr.errors import CdcsrError
+from cdcsr.robot import load_robot
 from controllers.commands import demonstrate
+from training.collector import Collector
 from training.config import PRESETS, Learner, Train, learner_for
-from training.policy import load_policy
+from training.evaluation import Result
+from training.networks import Actor
+from training.policy import Policy, load_policy
 from training.trainer import Run, train
 
 _SMALL = dataclasses.replace(
@@ -164,11 +169,43 @@ def test_demonstrations_of_another_robot_are_refused(tmp_path: Path, demonstrati
         ({"batch_size": 0}, "batch_size must be at least 1"),
         ({"discount": 1.5}, "discount must lie in"),
         ({"learning_rate": -1.0}, "learning_rate must be positive"),
+        ({"practice": -0.1}, "practice must be a distance"),
+        ({"practice": float("nan")}, "practice must be a distance"),
     ],
 )
 def test_impossible_numbers_are_refused(numbers: dict[str, float], message: str) -> None:
     with pytest.raises(CdcsrError, match=message):
         Train(out=Path("x"), learner=dataclasses.replace(_SMALL, **numbers))  # type: ignore[arg-type]
+
+
+def test_practice_is_past_the_space_and_measured_within_it(
+    tmp_path: Path, demonstrations: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    seen: dict[str, list[float]] = {"practised": [], "measured": []}
+    anchor = load_robot("paper").workspace
+
+    def outside(targets: NDArray[np.float64]) -> list[float]:
+        far = np.abs(targets - anchor.center) - np.array(anchor.size) / 2
+        return far.max(axis=1).clip(0).tolist()
+
+    step, measure = Collector.step, Run._evaluate
+
+    def watched_step(self: Collector, actor: Actor) -> Any:
+        seen["practised"] += outside(self.env.targets)
+        return step(self, actor)
+
+    def watched_measure(self: Run, policy: Policy) -> Result:
+        result = measure(self, policy)
+        seen["measured"] += outside(result.targets)
+        return result
+
+    monkeypatch.setattr(Collector, "step", watched_step)
+    monkeypatch.setattr(Run, "_evaluate", watched_measure)
+    learner = dataclasses.replace(_SMALL, practice=0.5)
+    train(_config(tmp_path / "run", demonstrations, space="anchor", learner=learner))
+    assert 0.1 < max(seen["practised"]) < 0.5
+    assert 0 in seen["practised"]
+    assert max(seen["measured"]) < 1e-12
 
 
 @pytest.mark.parametrize(
