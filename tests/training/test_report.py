@@ -147,11 +147,13 @@ def test_generalization(study: Path) -> None:
         "nominal": [nominal("11")],
         "workspace": [nominal("10", "workspace"), nominal("00", "workspace", "other")],
     }
-    for name, switches in (("plain", {}), ("symmetric", {"symmetry": True}), ("other", {"critics": 5})):
+    both = {"symmetry": True, "practice": 0.3}
+    for name, switches in (("plain", {}), ("symmetric", {"symmetry": True}), ("both", both), ("other", {"critics": 5})):
         write_run(study, name, around, algorithm="clasp", switches=switches)
     table = generalization(load_study(study))
     assert find(table, algorithm="CLASP (ours)")["κ all around"].value == 0.5
     assert find(table, algorithm="CLASP (ours), symmetry = true")["κ all around"].value == 0.5
+    assert find(table, algorithm="CLASP (ours), practice = 0.3, symmetry = true")["κ all around"].value == 0.5
     assert "critics" not in table.markdown()
 
 

@@ -68,6 +68,10 @@ UNHURRIED: tuple[tuple[str, Any], ...] = (("hindsight", 1), ("self_imitation", 0
 """Hindsight in place of self-imitation: slower at first, it ends in shorter episodes, though it misses more targets."""
 SYMMETRIC: tuple[tuple[str, Any], ...] = (("symmetry", True),)
 """The robot's mirror images made use of: for every method."""
+PRACTISED: tuple[tuple[str, Any], ...] = (("practice", 0.3),)
+"""Practice past the space of training: for every method that practises."""
+GENERAL = (PRACTISED, (*PRACTISED, *SYMMETRIC), SYMMETRIC)
+"""What takes a policy, whatever the method, past the space it is trained in."""
 CHOICES = ("hard", "scaled")
 """Other ways for BATD3's targets to choose between clone and policy."""
 ABLATIONS = ("batd3", "batd3-no-bc", "batd3-no-prefill", "batd3-no-ensemble")
@@ -193,6 +197,15 @@ def symmetry(budget: Budget) -> Iterator[Cell]:
                     yield _spec(budget, algorithm, space, seed, switches=switches), ("nominal", AROUND)
 
 
+def practice(budget: Budget) -> Iterator[Cell]:
+    """Practice past the space of training, with symmetry and without, and not: trained in Anchor or Floating."""
+    for seed in range(budget.seeds):
+        for switches in (PRACTISED, (*PRACTISED, *SYMMETRIC), ()):
+            for space in ("anchor", "floating"):
+                for algorithm in (OURS, "batd3"):
+                    yield _spec(budget, algorithm, space, seed, switches=switches), ("nominal", AROUND)
+
+
 def ours(budget: Budget) -> Iterator[Cell]:
     """Our method without each of its parts, and what else might take BATD3 further."""
     for seed in range(budget.seeds):
@@ -221,6 +234,7 @@ EXPERIMENTS: dict[str, Experiment] = {
     "plants": plants,
     "tasks": tasks,
     "symmetry": symmetry,
+    "practice": practice,
     "ours": ours,
     "longer": longer,
     "paper-preset": paper_preset,

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from training.plants import AXES, Axis
 from training.study.cells import COST, TRAINED, Cell, Table, Value, amount, cost, measure, trained
-from training.study.grid import ABLATIONS, AROUND, COUNTS, OURS, SYMMETRIC
+from training.study.grid import ABLATIONS, AROUND, COUNTS, GENERAL, OURS
 from training.study.paper import DISTURBANCES, TABLE_4
 from training.study.plants import sweeps
 from training.study.records import DEMONSTRATIONS, JACOBIAN, SPACES, Episodes, Run, at_home, grouped
@@ -27,8 +27,8 @@ ANYBODY = "any run"
 """Stands where an algorithm would, in the row of what at least one run reaches."""
 ALL_COUNTS = tuple(sorted((*COUNTS, DEMONSTRATIONS)))
 SIDES: tuple[Literal["below", "above"], ...] = ("below", "above")
-_SYMMETRIC = tuple((name, str(value).lower()) for name, value in SYMMETRIC)
-"""As a setting has it."""
+_GENERAL = {tuple((name, str(value).lower()) for name, value in sorted(switches)) for switches in GENERAL}
+"""As settings have them."""
 _RESULT = ("κ", "IQM of κ", "l_epi")
 
 
@@ -58,7 +58,7 @@ def variants(runs: Iterable[Run]) -> list[Run]:
     """Runs of our method, and of others with switches, in those spaces of the paper in which a variant was run."""
     own = [run for run in runs if run.setting.of_paper and (run.setting.algorithm == OURS or run.setting.switches)]
     own = [run for run in own if run.setting.demonstrations == DEMONSTRATIONS and not run.setting.randomize]
-    own = [run for run in own if run.setting.switches != _SYMMETRIC]  # for every method; Table III has it
+    own = [run for run in own if run.setting.switches not in _GENERAL]  # for every method; Table III has it
     spaces = {run.setting.space for run in own if run.setting.switches}
     return [run for run in own if run.setting.space in spaces]
 
@@ -87,8 +87,8 @@ def counted(runs: Iterable[Run]) -> list[Run]:
 
 
 def generalization(runs: Sequence[Run]) -> Table:
-    """Table III: trained in one space, tested in another, in the engine of training; and with symmetry made use of."""
-    chosen = [run for run in runs if run.setting.usual and run.setting.switches in ((), _SYMMETRIC)]
+    """Table III: trained in one space, tested in another, in the engine of training; symmetry and practice made use of."""
+    chosen = [run for run in runs if run.setting.usual and run.setting.switches in ((), *_GENERAL)]
     chosen = [run for run in chosen if run.setting.algorithm != JACOBIAN]
     rows: list[list[Value]] = []
     for setting, group in grouped(chosen).items():
