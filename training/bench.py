@@ -6,22 +6,28 @@ import contextlib
 import time
 from collections.abc import Callable
 from itertools import pairwise
+from typing import Any
 
 import numpy as np
 import torch
+from numpy.typing import NDArray
 
 from backends.peers import MissingPeer, Peer
 from cdcsr.observation import observation_size
 from cdcsr.robot import Robot, load_robot
-from training.algorithms import BATD3
-from training.config import Learner
-from training.replay import Batch
+from cdcsr.tasks import make_task
+from training.algorithms import ALGORITHMS
+from training.collector import FinishedEpisode
+from training.config import Learner, learner_for
+from training.memory import Memory
 
 _PRODUCTS = 50
 """Matrix products timed for every update: about as many operations."""
+OWN = ("batd3", "td3", "clasp")
+"""Algorithms whose updates are timed."""
 _OURS = """
-from training.bench import batd3_updates
-run = batd3_updates()
+from training.bench import own_updates
+run = own_updates()
 """
 _SBX = """
 import gymnasium, numpy, sbx
@@ -43,12 +49,13 @@ def run(updates):
 """
 
 
-def update_speed(python: str, updates: int = 4, rounds: int = 40) -> dict[str, float | None]:
-    """Updates per second of BATD3 as in the paper (E = 5, Z = 2, 3 x 256, batch 256), and of other TD3s.
+def update_speed(python: str, updates: int = 4, rounds: int = 40) -> dict[str, Any]:
+    """Updates per second of BATD3, TD3 and CLASP with the paper's numbers (E = 5, Z = 2, 3 x 256, batch 256), and of
+    other TD3s.
 
     Stable-baselines3 (a development dependency) and SBX (its sibling in JAX, optional) with n_critics = 5 and the same
-    networks, all on random data of the paper's sizes, each in one thread, taking turns; medians over the rounds.
-    Times are the processor's, so that what other jobs do with the machine counts as little as it can.
+    networks, all on random data of the paper's sizes, each in one thread, taking turns; medians over the rounds. An
+    update includes drawing its batch. Times are the processor's, so that what other jobs do counts as little as it can.
 
     Args:
         python: an interpreter that has sbx-rl, if any; it runs in a process of its own.
@@ -56,14 +63,14 @@ def update_speed(python: str, updates: int = 4, rounds: int = 40) -> dict[str, f
         rounds: turns of each.
 
     Returns:
-        Updates per second; `ratio` and `sbx_ratio`, ours to theirs, None where there is no SBX; `product_gflops`, the
-        rate of a 256 x 256 matrix product, over and over in the cache; `share_of_product_rate`, at which part of that
-        rate our whole update runs.
+        Updates per second; by algorithm in `ratio` and `sbx_ratio` ours to theirs, the latter None where there is no
+        SBX; `product_gflops`, the rate of a 256 x 256 matrix product, over and over in the cache;
+        `share_of_product_rate`, at which part of that rate our whole update runs, of BATD3.
     """
     torch.set_num_threads(1)
     robot = load_robot("paper")
     turns: dict[str, Callable[[int], float]] = {
-        "ours": _own_time(batd3_updates()),
+        **{name: _own_time(own_updates(name)) for name in OWN},
         "stable_baselines3": _own_time(_stable_baselines()),
         "product": _own_time(_matrix_product()),
     }
@@ -80,15 +87,15 @@ def update_speed(python: str, updates: int = 4, rounds: int = 40) -> dict[str, f
                     times[name].append(taken / updates)
     median = {name: float(np.median(values)) for name, values in times.items()}
     product_rate = _PRODUCTS * 2 * 256**3 / median["product"]
-    sbx_time = median.get("sbx")
+    sbx_time, others_time = median.get("sbx"), median["stable_baselines3"]
     return {
-        "updates_per_second": 1 / median["ours"],
-        "stable_baselines3_updates_per_second": 1 / median["stable_baselines3"],
-        "ratio": median["stable_baselines3"] / median["ours"],
+        "updates_per_second": {name: 1 / median[name] for name in OWN},
+        "stable_baselines3_updates_per_second": 1 / others_time,
+        "ratio": {name: others_time / median[name] for name in OWN},
         "sbx_updates_per_second": sbx_time and 1 / sbx_time,
-        "sbx_ratio": sbx_time and sbx_time / median["ours"],
+        "sbx_ratio": {name: sbx_time and sbx_time / median[name] for name in OWN},
         "product_gflops": product_rate / 1e9,
-        "share_of_product_rate": update_flops(Learner(), robot) / median["ours"] / product_rate,
+        "share_of_product_rate": update_flops(Learner(), robot) / median["batd3"] / product_rate,
     }
 
 
@@ -131,27 +138,28 @@ def _weights(inputs: int, hidden: tuple[int, ...], outputs: int) -> int:
     return sum(n * m for n, m in pairwise(widths))
 
 
-def batd3_updates() -> Callable[[int], None]:
-    """Does so many updates of BATD3, as in the paper, on random data."""
+def own_updates(name: str = "batd3") -> Callable[[int], None]:
+    """Does so many updates of an algorithm with the paper's numbers, on random data, each with a batch from the replay.
+
+    Args:
+        name: one of :data:`training.algorithms.ALGORITHMS`.
+    """
     torch.set_num_threads(1)
-    robot = load_robot("paper")
-    generator = torch.Generator().manual_seed(0)
-    algorithm = BATD3(robot, Learner(), generator)
-    size, cables = observation_size(robot), robot.num_cables
-    batch = Batch(
-        torch.randn(256, size),
-        torch.rand(256, cables) * 2 - 1,
-        torch.rand(256),
-        torch.full((256,), 0.99),
-        torch.randn(256, size),
-        torch.rand(256, cables) * 2 - 1,
-        torch.rand(256, cables) * 2 - 1,
-        torch.rand(256),
-    )
+    robot, learner = load_robot("paper"), learner_for(name, "paper")
+    algorithm = ALGORITHMS[name](robot, learner, torch.Generator().manual_seed(0))
+    rng, cables = np.random.default_rng(0), robot.num_cables
+
+    def clone(observations: NDArray[np.float64]) -> NDArray[np.float32]:
+        return rng.uniform(-1, 1, (len(observations), cables)).astype(np.float32)
+
+    memory = Memory(robot, learner, clone, make_task("reach"))
+    for _ in range(4):
+        observations, actions = rng.normal(size=(251, observation_size(robot))), rng.uniform(-1, 1, (250, cables))
+        memory.add(FinishedEpisode(observations, actions, rng.random(250), True, True), rng)
 
     def run(updates: int) -> None:
         for _ in range(updates):
-            algorithm.update(batch)
+            algorithm.update(memory.sample(rng))
 
     return run
 

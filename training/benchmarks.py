@@ -18,7 +18,8 @@ from cdcsr.errors import CdcsrError
 from cdcsr.files import write_json
 from cdcsr.robot import Robot, load_robot
 from controllers.parity.trajectories import demonstrator_commands
-from training.bench import side_by_side, update_speed
+from training.bench import OWN, side_by_side, update_speed
+from training.style import algorithm_title
 
 Section = Literal["environment", "model", "growth", "arms", "trainer"]
 SECTIONS: tuple[Section, ...] = ("environment", "model", "growth", "arms", "trainer")
@@ -123,13 +124,16 @@ class Benchmarks:
             speed = update_speed(self._peers)
         except ModuleNotFoundError as error:
             raise CdcsrError(f"{error.name} is needed to compare with; install the development dependencies.") from None
-        ours = "BATD3 updates/s (E = 5, 3 x 256, batch 256)"
+        size = "E = 5, 3 x 256, batch 256"
         floor = f"256 x 256 product: {speed['product_gflops']:.0f} GFLOP/s"
-        self._row("update_share", speed["share_of_product_rate"], f"{ours} over those at the product's rate", floor)
+        what = f"BATD3 updates/s ({size}) over those at the product's rate"
+        self._row("update_share", speed["share_of_product_rate"], what, floor)
         other = f"{speed['stable_baselines3_updates_per_second']:.1f} updates/s"
-        self._row("update_sb3", speed["ratio"], f"{ours} over stable-baselines3's TD3 with five critics", other)
         sbx = speed["sbx_updates_per_second"]
-        other = "pip install sbx-rl, here or for --peers" if sbx is None else f"{sbx:.1f} updates/s"
-        self._row("update_sbx", speed["sbx_ratio"], f"{ours} over SBX's TD3 (JAX) with five critics", other)
+        jax = "pip install sbx-rl, here or for --peers" if sbx is None else f"{sbx:.1f} updates/s"
+        for name in OWN:
+            ours = f"{algorithm_title(name)} updates/s ({size}) over"
+            self._row(f"update_sb3_{name}", speed["ratio"][name], f"{ours} stable-baselines3's TD3, five critics", other)
+            self._row(f"update_sbx_{name}", speed["sbx_ratio"][name], f"{ours} SBX's TD3 (JAX), five critics", jax)
         self.results["update"] = speed
         self._row("side_by_side", side_by_side(), "speed of a run's updates with another run beside it over alone")
