@@ -133,7 +133,8 @@ class Benchmarks:
         jax = "pip install sbx-rl, here or for --peers" if sbx is None else f"{sbx:.1f} updates/s"
         for name in OWN:
             ours = f"{algorithm_title(name)} updates/s ({size}) over"
-            self._row(f"update_sb3_{name}", speed["ratio"][name], f"{ours} stable-baselines3's TD3, five critics", other)
+            other_td3 = f"{ours} stable-baselines3's TD3, five critics"
+            self._row(f"update_sb3_{name}", speed["ratio"][name], other_td3, other)
             self._row(f"update_sbx_{name}", speed["sbx_ratio"][name], f"{ours} SBX's TD3 (JAX), five critics", jax)
         self.results["update"] = speed
         self._row("side_by_side", side_by_side(), "speed of a run's updates with another run beside it over alone")
