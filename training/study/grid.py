@@ -220,9 +220,10 @@ def longer(budget: Budget) -> Iterator[Cell]:
     for seed in range(budget.seeds):
         for algorithm, switches in ((OURS, UNHURRIED), ("batd3", ()), (OURS, ())):
             yield _four_times(_spec(budget, algorithm, "spatter", seed, switches=switches)), ("nominal", "disturbances")
-        for space in SPACES:
-            spec = _four_times(_spec(budget, OURS, space, seed, switches=PRACTISED))
-            yield spec, ("nominal", "disturbances", AROUND)
+        for switches, spaces in ((PRACTISED, SPACES), ((*PRACTISED, *SYMMETRIC), ("anchor",))):
+            for space in spaces:
+                spec = _four_times(_spec(budget, OURS, space, seed, switches=switches))
+                yield spec, ("nominal", "disturbances", AROUND)
 
 
 def _four_times(spec: RunSpec) -> RunSpec:
