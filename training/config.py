@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import asdict, dataclass, field, fields, replace
 from pathlib import Path
 from typing import Any, Literal
 
@@ -167,6 +167,13 @@ def learner_for(algorithm: str, preset: PresetName, task: str = "reach") -> Lear
     return replace(PRESETS[preset], **own, **tuned)
 
 
+def in_a_name(value: Any) -> str:
+    """A number of the learner, in a name."""
+    if isinstance(value, tuple):
+        return "x".join(in_a_name(item) for item in value)
+    return f"{value:g}" if isinstance(value, float) else str(value).lower()
+
+
 _UNSET = Learner()
 """Stands for a learner that is not given: this object, not one equal to it."""
 
@@ -267,6 +274,23 @@ class Train:
         from training.trainer import train
 
         train(self)
+
+    def policy_name(self, algorithm: str) -> str:
+        """Of the policy, or of the run's clone: method, preset, where it learned, what is changed in the learner.
+
+        Without the number of updates, which is not what tells policies of one study apart, and stands in their cards.
+
+        Args:
+            algorithm: what learned the policy: the run's, or "bc".
+        """
+        own = learner_for(self.algorithm, self.preset, self.task)
+        where = self.space if self.task == "reach" else f"{self.task}-{self.space}"
+        parts = [algorithm, self.preset, where, self.backend, f"s{self.seed}"]
+        for number in fields(Learner):
+            value = getattr(self.learner, number.name)
+            if number.name != "updates" and value != getattr(own, number.name):
+                parts.append(f"{number.name}={in_a_name(value)}")
+        return "-".join(parts)
 
     def identity(self) -> dict[str, Any]:
         """What must be the same for a run to be resumed."""

@@ -284,9 +284,8 @@ class Run:
 
     def _policy(self, actor: Actor, algorithm: str, **more: Any) -> Policy:
         config = self.config
-        where = config.space if config.task == "reach" else f"{config.task}-{config.space}"
         card = {
-            "name": f"{algorithm}-{config.preset}-{where}-{config.backend}-s{config.seed}",
+            "name": config.policy_name(algorithm),
             "algorithm": algorithm,
             "preset": config.preset,
             "backend": config.backend,

@@ -272,6 +272,16 @@ def test_a_task_that_does_not_end_is_discounted(tmp_path: Path, demonstrations: 
     assert not (tmp_path / "run").exists()
 
 
+def test_a_policy_is_named_for_what_is_changed_in_its_learner() -> None:
+    own = learner_for("clasp", "tuned")
+    changed = dataclasses.replace(own, updates=5, practice=0.3, symmetry=True, hidden=(64, 64))
+    config = Train(out=Path("x"), algorithm="clasp", seed=3, learner=changed)
+    assert config.policy_name("clasp") == "clasp-tuned-anchor-mujoco-s3-symmetry=true-practice=0.3-hidden=64x64"
+    assert config.policy_name("bc").startswith("bc-tuned-anchor-mujoco-s3-symmetry=true")
+    plain = Train(out=Path("x"), algorithm="clasp", task="capture")
+    assert plain.policy_name("clasp") == "clasp-tuned-capture-anchor-mujoco-s0"
+
+
 def test_a_learner_that_is_not_given_is_the_algorithms_own() -> None:
     assert Train(out=Path("x"), algorithm="clasp").learner == learner_for("clasp", "tuned")
     assert Train(out=Path("x"), algorithm="rlpd", preset="paper").learner == learner_for("rlpd", "paper")

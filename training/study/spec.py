@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any, cast
 
 from cdcsr.errors import CdcsrError, unknown_choice
-from training.config import PRESETS, AlgorithmName, Learner, PresetName, Train, learner_for
+from training.config import PRESETS, AlgorithmName, Learner, PresetName, Train, in_a_name, learner_for
 
 SCRIPTED = "jacobian"
 """The algorithm of a run that trains nothing: the scripted demonstrator."""
@@ -57,7 +57,7 @@ class RunSpec:
             parts.append(self.task)
         if self.randomize:
             parts.append(f"r{self.randomize:g}")
-        parts += [f"{name}={_word(value)}" for name, value in self.switches]
+        parts += [f"{name}={in_a_name(value)}" for name, value in self.switches]
         return "_".join(parts)
 
     @property
@@ -106,10 +106,3 @@ class RunSpec:
             return cls(**data, switches=tuple(switches.items()))
         except (ValueError, TypeError, AttributeError) as error:
             raise CdcsrError(f"{text!r} is not a run of the study: {error}.") from None
-
-
-def _word(value: Any) -> str:
-    """A value in a folder's name."""
-    if isinstance(value, tuple):
-        return "x".join(_word(item) for item in value)
-    return f"{value:g}" if isinstance(value, float) else str(value).lower()
