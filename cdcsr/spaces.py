@@ -87,6 +87,18 @@ class Beyond:
         return np.where(rng.random((num, 1)) < 0.5, target + far * direction, target)
 
 
+def beyond(space: Space, distance: float, robot: Robot) -> Beyond:
+    """What lies around a space of a robot; of one whose workspace is flat, in that plane.
+
+    Args:
+        space: where targets of the task lie.
+        distance: how far around it, in [m].
+        robot: whose workspace it is.
+    """
+    x, y, z = (extent > 0 for extent in robot.workspace.size)
+    return Beyond(space, distance, (x, y, z) if x or y or z else (True, True, True))
+
+
 def demonstration_targets(robot: Robot, num: int = 10, seed: int = 0) -> Array:
     """The targets of demonstrations, shape (num, 3): drawn in the Anchor Space."""
     return anchor(robot).sample(np.random.default_rng(seed), num)

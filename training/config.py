@@ -28,7 +28,8 @@ class Learner:
     the space: one quarter of it, for arms like the paper's. What is learned there then holds everywhere."""
     practice: float = 0.0
     """Half of the targets that are practised on are up to this far, in [m], from where the space has them, so that what
-    is learned does not end where the space does. Demonstrations and measurements stay in the space."""
+    is learned does not end where the space does. Demonstrations and measurements stay in the space; some of the targets
+    are out of reach, so success while training says less."""
     hidden: tuple[int, ...] = (256, 256, 256)
     """Width of the hidden layers of every network."""
     layer_norm: bool = False
@@ -174,6 +175,8 @@ def in_a_name(value: Any) -> str:
     return f"{value:g}" if isinstance(value, float) else str(value).lower()
 
 
+CLONES = ("batch_size", "bc_learning_rate", "bc_updates", "features", "hidden", "symmetry")
+"""Numbers of the learner that a behaviour clone depends on."""
 _UNSET = Learner()
 """Stands for a learner that is not given: this object, not one equal to it."""
 
@@ -253,6 +256,8 @@ class Train:
         for name in ("learning_rate", "bc_learning_rate"):
             if not getattr(learner, name) > 0:
                 raise CdcsrError(f"{name} must be positive, not {getattr(learner, name)}.")
+        if learner.practice and self.algorithm == "bc":
+            raise CdcsrError(f"practice must be 0 for bc, which does not practise, not {learner.practice}.")
         if not 0 <= learner.practice < math.inf:
             raise CdcsrError(f"practice must be a distance in [m], or 0, not {learner.practice}.")
         if not 0 <= learner.kept_share < 1:
@@ -278,19 +283,26 @@ class Train:
     def policy_name(self, algorithm: str) -> str:
         """Of the policy, or of the run's clone: method, preset, where it learned, what is changed in the learner.
 
-        Without the number of updates, which is not what tells policies of one study apart, and stands in their cards.
-
         Args:
             algorithm: what learned the policy: the run's, or "bc".
         """
-        own = learner_for(self.algorithm, self.preset, self.task)
         where = self.space if self.task == "reach" else f"{self.task}-{self.space}"
         parts = [algorithm, self.preset, where, self.backend, f"s{self.seed}"]
-        for number in fields(Learner):
-            value = getattr(self.learner, number.name)
-            if number.name != "updates" and value != getattr(own, number.name):
-                parts.append(f"{number.name}={in_a_name(value)}")
-        return "-".join(parts)
+        changes = [f"{name}={in_a_name(value)}" for name, value in self.changes(algorithm).items()]
+        return "-".join((*parts, *changes))
+
+    def changes(self, algorithm: str) -> dict[str, Any]:
+        """Numbers of the learner that are not what the algorithm has of its own, in the order of their names.
+
+        Without the number of updates, which is part of every policy's card.
+
+        Args:
+            algorithm: the run's, or "bc" for its clone, which most numbers do not touch.
+        """
+        own = learner_for(self.algorithm, self.preset, self.task)
+        names = CLONES if algorithm == "bc" else [number.name for number in fields(Learner) if number.name != "updates"]
+        now = {name: getattr(self.learner, name) for name in sorted(names)}
+        return {name: value for name, value in now.items() if value != getattr(own, name)}
 
     def identity(self) -> dict[str, Any]:
         """What must be the same for a run to be resumed."""

@@ -20,7 +20,7 @@ from cdcsr.files import write_bytes, write_json
 from cdcsr.randomization import Randomization
 from cdcsr.robot import Robot, load_robot
 from cdcsr.simulation import load_backend
-from cdcsr.spaces import Beyond, demonstration_space, make_space
+from cdcsr.spaces import beyond, demonstration_space, make_space
 from cdcsr.symmetry import images
 from cdcsr.task import Reward
 from cdcsr.tasks import actions_per_episode, make_task
@@ -198,8 +198,7 @@ class Run:
             plants = Randomization(self.robot, learner.num_envs, config.randomize, streams[3])
         env = self._env(learner.num_envs, config.space, randomization=plants)
         if learner.practice > 0:
-            extent = self.robot.workspace.size
-            env.space = Beyond(env.space, learner.practice, (extent[0] > 0, extent[1] > 0, extent[2] > 0))
+            env.space = beyond(env.space, learner.practice, self.robot)
         collector = Collector(env, exploration_noise(learner), learner.noise_hold, streams[0])
         memory = Memory(self.robot, learner, None if clone is None else clone.actions, env.task)
         state_path = self.folder / "state.safetensors"
@@ -295,6 +294,7 @@ class Run:
             "frame_skip": config.frame_skip,
             "randomize": config.randomize,
             "demonstrations": len(self.episodes),
+            "changes": config.changes(algorithm),
             **more,
         }
         return Policy(actor, self.robot, self.centers, card)

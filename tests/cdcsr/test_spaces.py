@@ -10,7 +10,7 @@ from scipy import stats
 
 from cdcsr.errors import CdcsrError
 from cdcsr.robot import load_robot
-from cdcsr.spaces import SPACES, Beyond, demonstration_targets, make_space
+from cdcsr.spaces import SPACES, Beyond, beyond, demonstration_targets, make_space
 
 PAPER = load_robot("paper")
 CENTERS = np.array([[0.0, 0.0, 0.0], [10.0, 0.0, 0.0], [0.0, 20.0, 0.0]])
@@ -78,8 +78,24 @@ def test_practice_moves_half_of_the_targets_evenly(axes: tuple[bool, bool, bool]
     # Within a ball (r / radius)^3 is uniform, within a disc its square.
     assert stats.kstest((distance[moved] / 0.4) ** dimensions, "uniform").pvalue > LEAST_P
     assert np.array_equal(np.ptp(offset, axis=0) > 0, axes)
-    for axis in np.flatnonzero(axes):
-        assert stats.binomtest(int((offset[moved, axis] > 0).sum()), int(moved.sum()), 0.5).pvalue > LEAST_P
+    direction = offset[moved] / distance[moved, None]
+    if dimensions == 3:  # Archimedes, and no two coordinates go together
+        for axis in range(3):
+            assert stats.kstest(direction[:, axis], "uniform", args=(-1, 2)).pvalue > LEAST_P
+        assert np.abs(np.corrcoef(direction.T) - np.eye(3)).max() < 0.05
+    else:
+        angle = np.arctan2(direction[:, 2], direction[:, 0])
+        assert stats.kstest(angle, "uniform", args=(-np.pi, 2 * np.pi)).pvalue > LEAST_P
+
+
+def test_practice_stays_in_the_plane_of_a_flat_workspace() -> None:
+    inner, flat = Points(np.zeros((1, 3))), load_robot("planar-single")
+    assert flat.workspace.size[1] == 0
+    assert np.array_equal(np.ptp(beyond(inner, 0.2, flat).sample(rng(), 100), axis=0) > 0, [True, False, True])
+    nowhere = flat.workspace.model_copy(update={"size": (0.0, 0.0, 0.0)})
+    point = flat.model_copy(update={"workspace": nowhere})
+    for robot in (PAPER, point):
+        assert (np.ptp(beyond(inner, 0.2, robot).sample(rng(), 100), axis=0) > 0.2).all()
 
 
 @dataclass(frozen=True)

@@ -176,9 +176,10 @@ def test_a_policy_keeps_that_it_folds(robot: Robot, tmp_path: Path) -> None:
         torch.testing.assert_close(read.actor.command(observation), actor.command(observation), rtol=0, atol=0)
 
 
+@pytest.mark.parametrize("name", ["clasp-workspace-mujoco", "clasp-anchor-mujoco"])
 @pytest.mark.parametrize("engine", ["mujoco", "pybullet"])
-def test_images_of_a_target_are_reached_along_images_of_one_path(engine: str) -> None:
-    policy = find_policy("clasp-workspace-mujoco")
+def test_images_of_a_target_are_reached_along_images_of_one_path(engine: str, name: str) -> None:
+    policy = find_policy(name)
     known = images(policy.robot)
     target = np.array([0.12, 0.21, 2.4])
     targets = np.array([target * image.signs[TARGET] for image in known])

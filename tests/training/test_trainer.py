@@ -12,11 +12,13 @@ from typing import Any
 
 import numpy as np
 import pytest
+from gymnasium.vector import AutoresetMode
 from numpy.typing import NDArray
 from safetensors.torch import load_file
 from tiny import FRAME_SKIP
 
 from cdcsr.cli import run
+from cdcsr.envs import ReachVectorEnv
 from cdcsr.errors import CdcsrError
 from cdcsr.robot import load_robot
 from controllers.commands import demonstrate
@@ -64,7 +66,7 @@ def test_a_run_leaves_policy_metrics_and_summary(tmp_path: Path, demonstrations:
 
 _EVERYTHING = dataclasses.replace(
     _SMALL, hindsight=2, kept_share=0.25, keep_successes=True, clone_start=True, clone_anchor=1.0, self_imitation=1.0,
-    noise_ladder=True, updates_per_step=2, final_learning_rate=0.5, updates=120,
+    noise_ladder=True, practice=0.2, updates_per_step=2, final_learning_rate=0.5, updates=120,
 )  # fmt: skip
 
 
@@ -181,14 +183,20 @@ def test_impossible_numbers_are_refused(numbers: dict[str, float], message: str)
 def test_practice_is_past_the_space_and_measured_within_it(
     tmp_path: Path, demonstrations: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    seen: dict[str, list[float]] = {"practised": [], "measured": []}
+    seen: dict[str, list[float]] = {"practised": [], "measured": [], "shown": []}
     anchor = load_robot("paper").workspace
 
     def outside(targets: NDArray[np.float64]) -> list[float]:
         far = np.abs(targets - anchor.center) - np.array(anchor.size) / 2
         return far.max(axis=1).clip(0).tolist()
 
-    step, measure = Collector.step, Run._evaluate
+    step, measure, reset = Collector.step, Run._evaluate, ReachVectorEnv.reset
+
+    def watched_reset(self: ReachVectorEnv, **options: Any) -> Any:
+        begun = reset(self, **options)
+        if self.metadata["autoreset_mode"] is AutoresetMode.DISABLED:  # the clone's episodes and measurements
+            seen["shown"] += outside(self.targets)
+        return begun
 
     def watched_step(self: Collector, actor: Actor) -> Any:
         seen["practised"] += outside(self.env.targets)
@@ -201,11 +209,19 @@ def test_practice_is_past_the_space_and_measured_within_it(
 
     monkeypatch.setattr(Collector, "step", watched_step)
     monkeypatch.setattr(Run, "_evaluate", watched_measure)
+    monkeypatch.setattr(ReachVectorEnv, "reset", watched_reset)
     learner = dataclasses.replace(_SMALL, practice=0.5)
     train(_config(tmp_path / "run", demonstrations, space="anchor", learner=learner))
     assert 0.1 < max(seen["practised"]) < 0.5
     assert 0 in seen["practised"]
     assert max(seen["measured"]) < 1e-12
+    assert len(seen["shown"]) > len(seen["measured"])
+    assert max(seen["shown"]) < 1e-12
+
+
+def test_a_clone_does_not_practise() -> None:
+    with pytest.raises(CdcsrError, match="practice must be 0 for bc"):
+        Train(out=Path("x"), algorithm="bc", learner=dataclasses.replace(_SMALL, practice=0.1))
 
 
 @pytest.mark.parametrize(
@@ -276,8 +292,8 @@ def test_a_policy_is_named_for_what_is_changed_in_its_learner() -> None:
     own = learner_for("clasp", "tuned")
     changed = dataclasses.replace(own, updates=5, practice=0.3, symmetry=True, hidden=(64, 64))
     config = Train(out=Path("x"), algorithm="clasp", seed=3, learner=changed)
-    assert config.policy_name("clasp") == "clasp-tuned-anchor-mujoco-s3-symmetry=true-practice=0.3-hidden=64x64"
-    assert config.policy_name("bc").startswith("bc-tuned-anchor-mujoco-s3-symmetry=true")
+    assert config.policy_name("clasp") == "clasp-tuned-anchor-mujoco-s3-hidden=64x64-practice=0.3-symmetry=true"
+    assert config.policy_name("bc") == "bc-tuned-anchor-mujoco-s3-hidden=64x64-symmetry=true"
     plain = Train(out=Path("x"), algorithm="clasp", task="capture")
     assert plain.policy_name("clasp") == "clasp-tuned-capture-anchor-mujoco-s0"
 

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from training.plants import AXES, Axis
 from training.study.cells import COST, TRAINED, Cell, Table, Value, amount, cost, measure, trained
-from training.study.grid import ABLATIONS, AROUND, COUNTS, GENERAL, OURS
+from training.study.grid import ABLATIONS, AROUND, BACKENDS, COUNTS, GENERAL, OURS
 from training.study.paper import DISTURBANCES, TABLE_4
 from training.study.plants import sweeps
 from training.study.records import DEMONSTRATIONS, JACOBIAN, SPACES, Episodes, Run, at_home, grouped
@@ -118,13 +118,13 @@ def robustness(runs: Sequence[Run]) -> Table:
                     cell = disturbed(at_home(group, space), axis, level, space)
                     values += [cell.success, cell.length] if cell else [None, None]
                 rows.append([letter, level, *trained(setting), *values, *cost(group)])
-            rows.append([letter, level, ANYBODY, *_anybody(chosen, axis, level)])
+            rows.append([letter, level, *_anybody(chosen, axis, level)])
             if not any(setting.algorithm == "batd3" for setting in groups):
                 rows.append([letter, level, algorithm_title("batd3"), "-", ENGINES["mujoco"], *[None] * 6, *cost(None)])
     columns = [name for title in SPACES.values() for name in (f"κ {title}", f"l_epi {title}")]
     note = basis(chosen) + (
-        " Seeds are counted over the three spaces together. `any run` counts the targets that at least one of them"
-        " reaches under that disturbance: how much of a loss is no policy's."
+        " Seeds are counted over the three spaces together. The rows `any run` count the targets that at least one of"
+        " the runs above them reaches under that disturbance: of any policy's loss that much is not its own."
     )
     return Table("table4", "Table IV: robustness", note, ("what", "level", *TRAINED, *columns, *COST), rows)
 
@@ -132,10 +132,12 @@ def robustness(runs: Sequence[Run]) -> Table:
 def _anybody(runs: Sequence[Run], axis: str, level: float) -> list[Value]:
     """The rest of a row: the share of targets that at least one run reaches under a disturbance, in each space."""
     values: list[Value] = []
+    count = 0
     for space in SPACES:
         cell = disturbed(at_home(runs, space), axis, level, space)
         values += [rate([_united(cell.episodes)]) if cell else None, "-"]
-    return ["-", "-", *values, *["-"] * len(COST)]
+        count += len(cell.runs) if cell else 0
+    return [ANYBODY, "-", "-", *values, count, *["-"] * (len(COST) - 1)]
 
 
 def _united(found: Sequence[Episodes]) -> NDArray[np.bool_]:
@@ -165,8 +167,21 @@ def transfer(runs: Sequence[Run]) -> Table:
     head = ("space", *TRAINED, *_engine_heads(engines), *COST)
     note = (
         basis(chosen) + " Disagreements count the episodes of all seeds that succeed in one engine only, of how many."
+        f" {_in_all(runs)}"
     )
     return Table("transfer", "Transfer between engines", note, head, rows)
+
+
+def _in_all(runs: Sequence[Run]) -> str:
+    """How many episodes of the whole study were run in both engines on the described plant, and end differently."""
+    total, different = 0, 0
+    for run in runs:
+        for name in {"nominal", AROUND} & set(run.evaluations):
+            first, second = (run.evaluations[name].where(backend=engine) for engine in BACKENDS)
+            if len(first) == len(second):
+                total += len(first)
+                different += int((first.success != second.success).sum())
+    return f"Of {total} episodes of the study, run in both on the described plant, {different} end differently."
 
 
 def tasks(runs: Sequence[Run]) -> Table:
