@@ -110,6 +110,11 @@ class Learner:
     bc_rollouts: int = 100
     """Episodes of the behaviour clone whose successes pre-fill the replay buffer."""
 
+    def differences(self, other: Learner) -> dict[str, Any]:
+        """The numbers that are not the same in another learner, in the order of their names."""
+        now = {name: getattr(self, name) for name in sorted(number.name for number in fields(Learner))}
+        return {name: value for name, value in now.items() if value != getattr(other, name)}
+
 
 PRESETS: dict[PresetName, Learner] = {
     "paper": Learner(),
@@ -300,9 +305,9 @@ class Train:
             algorithm: the run's, or "bc" for its clone, which most numbers do not touch.
         """
         own = learner_for(self.algorithm, self.preset, self.task)
-        names = CLONES if algorithm == "bc" else [number.name for number in fields(Learner) if number.name != "updates"]
-        now = {name: getattr(self.learner, name) for name in sorted(names)}
-        return {name: value for name, value in now.items() if value != getattr(own, name)}
+        found = self.learner.differences(own)
+        names = CLONES if algorithm == "bc" else found.keys() - {"updates"}
+        return {name: value for name, value in found.items() if name in names}
 
     def identity(self) -> dict[str, Any]:
         """What must be the same for a run to be resumed."""

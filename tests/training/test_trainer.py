@@ -230,9 +230,11 @@ def test_a_clone_does_not_practise() -> None:
         ({"capacity": 31}, "capacity must be at least 32, a batch and an episode"),
         ({"capacity": 25, "batch_size": 8}, "capacity must be at least 26"),
         ({"kept_share": 0.5}, "kept_share must be 0 for td3"),
+        ({"self_imitation": 1.0}, "self_imitation must be 0.0 for td3, not 1.0: it is read by clasp only"),
+        ({"target_choice": "hard"}, "target_choice must be softmax for td3, not hard: it is read by batd3, "),
     ],
 )
-def test_a_replay_that_cannot_serve_is_refused(
+def test_numbers_that_cannot_serve_are_refused(
     tmp_path: Path, demonstrations: Path, numbers: dict[str, Any], message: str
 ) -> None:
     learner = dataclasses.replace(_SMALL, **numbers)

@@ -103,6 +103,17 @@ def test_clasp_lets_go_of_the_clone_linearly(make: Make, small_batch: Batch, upd
         assert clasp.actor_loss(encoded, small_batch).item() == pytest.approx(expected, rel=1e-5)
 
 
+def test_batd3_may_be_held_to_the_clone_too(make: Make, small_batch: Batch) -> None:
+    batd3 = make(BATD3, critics=2, target_critics=2, clone_anchor=2.0, anchor_updates=500)
+    batd3.updates = 125
+    encoded = batd3.actor.encoder(small_batch.observation)
+    with torch.no_grad():
+        action = batd3.actor(encoded)
+        distance = ((action - small_batch.bc_action) ** 2).mean().item()
+        expected = -_values(batd3, encoded, action).mean().item() + 1.5 * distance
+        assert batd3.actor_loss(encoded, small_batch).item() == pytest.approx(expected, rel=1e-5)
+
+
 def test_clasp_imitates_what_went_better_than_expected_by_how_much(make: Make, small_batch: Batch) -> None:
     clasp = make(CLASP, critics=1, target_critics=1, self_imitation=3.0)
     encoded = clasp.actor.encoder(small_batch.observation)

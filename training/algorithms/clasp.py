@@ -7,7 +7,7 @@ from typing import ClassVar
 import torch
 from torch import Tensor
 
-from training.algorithms.td3 import TD3
+from training.algorithms.td3 import ANCHORED, TD3, distance
 from training.replay import Batch
 
 
@@ -29,6 +29,7 @@ class CLASP(TD3):
     uses_demonstrations: ClassVar[bool] = True
     uses_clone: ClassVar[bool] = True
     uses_rollouts: ClassVar[bool] = True
+    heeds: ClassVar[frozenset[str]] = ANCHORED | {"self_imitation", "scaled_values"}
 
     def policy_loss(self, encoded: Tensor, action: Tensor, batch: Batch) -> Tensor:
         learner = self.learner
@@ -38,16 +39,8 @@ class CLASP(TD3):
         loss = -value.mean()
         if learner.scaled_values:
             loss = loss / expected.abs().mean().clamp_min(1e-3)
-        left = max(0.0, 1 - self.updates / learner.anchor_updates)
-        weight = learner.anchor_floor + left * (learner.clone_anchor - learner.anchor_floor)
-        if weight > 0:
-            loss = loss + weight * _distance(action, batch.bc_action).mean()
+        loss = loss + self.anchor_loss(action, batch)
         if learner.self_imitation > 0:
             better = (batch.outcome - expected).clamp_min(0)
-            loss = loss + learner.self_imitation * (_distance(action, batch.action) * better).mean()
+            loss = loss + learner.self_imitation * (distance(action, batch.action) * better).mean()
         return loss
-
-
-def _distance(one: Tensor, other: Tensor) -> Tensor:
-    """Mean over cables of the squared difference, shape (B,)."""
-    return (one - other).square().mean(-1)

@@ -19,6 +19,9 @@ from training.config import Learner
 from training.networks import Actor, Critics
 from training.replay import Batch
 
+ANCHORED = frozenset({"clone_anchor", "anchor_updates", "anchor_floor"})
+"""The numbers of a learner whose actor is held to the clone."""
+
 
 class TD3:
     """A deterministic actor and E critics with target copies.
@@ -40,6 +43,8 @@ class TD3:
     """The clone's successful episodes are put into the replay buffer."""
     reward: ClassVar[Reward] = "sparse"
     """What is learned from."""
+    heeds: ClassVar[frozenset[str]] = frozenset()
+    """Those numbers of the learner that not every method looks at, and this one does."""
 
     def __init__(self, robot: Robot, learner: Learner, generator: torch.Generator) -> None:
         self.learner = learner
@@ -131,6 +136,13 @@ class TD3:
         """Minus the critics' mean at the actor's own action."""
         return -self.drawn_values(encoded, action).mean()
 
+    def anchor_loss(self, action: Tensor, batch: Batch) -> Tensor:
+        """w |pi(s) - a_BC(s)|^2 for variants with a clone, w falling linearly from `clone_anchor` to `anchor_floor`."""
+        learner = self.learner
+        left = max(0.0, 1 - self.updates / learner.anchor_updates)
+        weight = learner.anchor_floor + left * (learner.clone_anchor - learner.anchor_floor)
+        return weight * distance(action, batch.bc_action).mean() if weight > 0 else torch.zeros(())
+
     def drawn_values(self, encoded: Tensor, action: Tensor) -> Tensor:
         """Values by Z critics drawn at random, shape (Z, B).
 
@@ -138,6 +150,11 @@ class TD3:
         Z / E of the work.
         """
         return self.critics(encoded, action, self._draw_critics())
+
+
+def distance(one: Tensor, other: Tensor) -> Tensor:
+    """Mean over cables of the squared difference, shape (B,)."""
+    return (one - other).square().mean(-1)
 
 
 def _follow(targets: object, sources: list[torch.nn.Parameter], rate: float) -> None:

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 from cdcsr.errors import CdcsrError, unknown_choice
-from training.config import PresetName
+from training.config import PresetName, learner_for
 from training.study.spec import SCRIPTED, RunSpec
 
 
@@ -72,6 +72,17 @@ PRACTISED: tuple[tuple[str, Any], ...] = (("practice", 0.3),)
 """Practice past the space of training: for every method that practises."""
 GENERAL = (PRACTISED, (*PRACTISED, *SYMMETRIC), SYMMETRIC)
 """What takes a policy, whatever the method, past the space it is trained in."""
+HARDER = ("capture", "follow-random")
+"""Tasks past a fly-by, where methods differ most; in Anchor."""
+HARDER_SWITCHES: tuple[tuple[tuple[str, Any], ...], ...] = (
+    (("clone_start", False),),
+    (("anchor_floor", 0.0), ("clone_anchor", 0.0)),
+    (("self_imitation", 0.0),),
+    (("noise_ladder", False),),
+    PRACTISED,
+    SYMMETRIC,
+)
+"""What is changed there in our method, one change an entry."""
 CHOICES = ("hard", "scaled")
 """Other ways for BATD3's targets to choose between clone and policy."""
 ABLATIONS = ("batd3", "batd3-no-bc", "batd3-no-prefill", "batd3-no-ensemble")
@@ -215,6 +226,16 @@ def ours(budget: Budget) -> Iterator[Cell]:
             yield _spec(budget, "batd3", "spatter", seed, switches=(("target_choice", choice),)), ("nominal",)
 
 
+def harder(budget: Budget) -> Iterator[Cell]:
+    """Capturing and following: ours without each of its parts, and BATD3 with all of our numbers that it heeds."""
+    for seed in range(budget.seeds):
+        for task in HARDER:
+            lent = learner_for(OURS, "tuned", task).differences(learner_for("batd3", "tuned", task))
+            rival = tuple((name, value) for name, value in lent.items() if name != "self_imitation")
+            for algorithm, switches in ((OURS, ()), ("batd3", rival), *((OURS, each) for each in HARDER_SWITCHES)):
+                yield _spec(budget, algorithm, "anchor", seed, task=task, switches=switches), ("nominal",)
+
+
 def longer(budget: Budget) -> Iterator[Cell]:
     """Four times as long: in Spatter BATD3, ours, and ours with hindsight; in each space ours with practice past it."""
     for seed in range(budget.seeds):
@@ -243,6 +264,7 @@ EXPERIMENTS: dict[str, Experiment] = {
     "symmetry": symmetry,
     "practice": practice,
     "ours": ours,
+    "harder": harder,
     "longer": longer,
     "paper-preset": paper_preset,
 }
