@@ -1,0 +1,38 @@
+"""`cdcsr search`: it goes on where it stopped, and refuses what is not its own."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pytest
+
+from cdcsr import cli
+
+
+def test_the_command_goes_on_and_refuses_another_search(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    def search(out: Path, episodes: int, *more: str) -> int:
+        asked = ["search", "batd3-spatter-mujoco", "--out", str(out), "--space", "anchor", "--rounds", "1"]
+        return cli.main([*asked, "--episodes", str(episodes), "--json", str(tmp_path / "summary.json"), *more])
+
+    whole, halted = tmp_path / "whole", tmp_path / "halted"
+    assert search(whole, 2) == 0
+    summary = json.loads((tmp_path / "summary.json").read_text())
+    assert summary["reached"] == 1
+    assert summary["best_length"] <= summary["length"]
+    assert search(halted, 1) == 0
+    assert search(halted, 2) == 0
+    assert (halted / "targets.csv").read_text() == (whole / "targets.csv").read_text()
+    assert json.loads((tmp_path / "summary.json").read_text()) == summary
+
+    capsys.readouterr()
+    assert search(whole, 2, "--missed") == 2
+    assert "holds another search (missed)" in capsys.readouterr().err
+    (whole / "targets.csv").write_text("episode,x\n0,north\n")
+    assert search(whole, 2) == 2
+    assert "damaged" in capsys.readouterr().err
+    (tmp_path / "other").mkdir()
+    assert search(tmp_path / "other", 2) == 2
+    assert "is not a search" in capsys.readouterr().err
+    assert search(tmp_path / "none", 0) == 2
+    assert "episodes must be at least 1" in capsys.readouterr().err
