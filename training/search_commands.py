@@ -55,7 +55,7 @@ def search(
         out: folder of the results: `targets.csv`, a line for each target, and `search.json`, what was asked for.
         backend: the engine.
         space: anchor, floating, spatter or workspace; by default the one the policy was trained in.
-        episodes: how many targets, the first ones of `cdcsr evaluate`.
+        episodes: how many targets, the same as those of as many episodes of `cdcsr evaluate`.
         rounds: of the search at each target; about half a second each.
         missed: search only at targets that the controller reaches in less than half of 48 tries.
         seed: of the targets; by default the one that nothing is tuned on.
@@ -100,8 +100,8 @@ def search(
     identity = {
         "controller": controller.name, "weights": None if learned is None else learned.digest,
         "robot": description.fingerprint, "backend": backend, "space": space, "task": task, "seed": seed,
-        "rounds": rounds, "missed": missed, "action_noise": action_noise, "base_noise": base_noise,
-        "packet_loss": packet_loss,
+        "episodes": episodes, "rounds": rounds, "missed": missed, "action_noise": action_noise,
+        "base_noise": base_noise, "packet_loss": packet_loss,
     }  # fmt: skip
     rows = _claim(out, identity, force)
     env = ReachVectorEnv(_COPIES, disturbances=disturbances, **common)
@@ -116,7 +116,7 @@ def search(
             print(f"{episode + 1} of {episodes}: {_told(alone)}; best {_told(best)}", flush=True)
     finally:
         env.close()
-    summary = identity | _summary(rows[:episodes], env.max_actions)
+    summary = identity | _summary(rows, env.max_actions)
     print(
         f"\n{summary['controller']} in {space}, {episodes} targets: reaches {summary['reached']:.3f} in "
         f"{summary['length']:.1f} steps (failures in full); with what was found {summary['best_reached']:.3f} in "
@@ -138,7 +138,6 @@ def _summary(rows: list[_Row], most: int) -> dict[str, Any]:
     """Means over targets, in all and over those that the controller reaches, and the targets nothing reaches."""
     both = [row for row in rows if row.reached == 1]
     return {
-        "episodes": len(rows),
         "reached": sum(row.reached for row in rows) / len(rows),
         "length": sum(row.length for row in rows) / len(rows),
         "best_reached": sum(row.best_reached for row in rows) / len(rows),
@@ -180,6 +179,7 @@ def _claim(out: Path, identity: dict[str, Any], force: bool) -> list[_Row]:
             return [_Row(int(line[0]), *line[1:]) for line in lines]
         except (OSError, ValueError, TypeError) as error:
             raise CdcsrError(f"{table} is damaged ({error}); delete it to have it made again.") from None
-    table.unlink(missing_ok=True)
+    if table.is_file():
+        table.unlink()
     write_json(path, identity)
     return []

@@ -20,7 +20,9 @@ def test_the_command_goes_on_and_refuses_another_search(tmp_path: Path, capsys: 
     summary = json.loads((tmp_path / "summary.json").read_text())
     assert summary["reached"] == 1
     assert summary["best_length"] <= summary["length"]
-    assert search(halted, 1) == 0
+    assert search(halted, 2) == 0
+    lines = (halted / "targets.csv").read_text().splitlines(keepends=True)
+    (halted / "targets.csv").write_text("".join(lines[:2]))  # stopped after the first target
     assert search(halted, 2) == 0
     assert (halted / "targets.csv").read_text() == (whole / "targets.csv").read_text()
     assert json.loads((tmp_path / "summary.json").read_text()) == summary
@@ -28,11 +30,15 @@ def test_the_command_goes_on_and_refuses_another_search(tmp_path: Path, capsys: 
     capsys.readouterr()
     assert search(whole, 2, "--missed") == 2
     assert "holds another search (missed)" in capsys.readouterr().err
+    assert search(whole, 1) == 2
+    assert "holds another search (episodes)" in capsys.readouterr().err
     (whole / "targets.csv").write_text("episode,x\n0,north\n")
     assert search(whole, 2) == 2
     assert "damaged" in capsys.readouterr().err
     (tmp_path / "other").mkdir()
     assert search(tmp_path / "other", 2) == 2
     assert "is not a search" in capsys.readouterr().err
+    assert search(whole / "search.json" / "below", 2) == 2
+    assert "Cannot write" in capsys.readouterr().err
     assert search(tmp_path / "none", 0) == 2
     assert "episodes must be at least 1" in capsys.readouterr().err
