@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import Any
 
@@ -31,8 +32,11 @@ class Disturbances:
     those before it. Commands that arrive late are the robot's own: see :class:`cdcsr.parameters.Parameters`."""
 
     def __post_init__(self) -> None:
-        if min(self.action_noise, self.base_noise) < 0 or not 0 <= self.packet_loss <= 1:
-            raise CdcsrError(f"Noise must not be negative and packet_loss must lie in [0, 1]; found {self}.")
+        noises = (self.action_noise, self.base_noise)
+        if not all(0 <= noise < math.inf for noise in noises) or not 0 <= self.packet_loss <= 1:
+            raise CdcsrError(
+                f"Noise must be finite and not negative, and packet_loss must lie in [0, 1]; found {self}."
+            )
         check_delay("observation_delay", self.observation_delay)
 
 

@@ -48,7 +48,8 @@ def search(
     """Search, target by target, for commands that do better than a controller: what could be done at all.
 
     Offsets to the controller's own commands are searched for by the cross-entropy method, 48 plans a round. Goes on
-    where it was stopped. What it finds is a lower bound: a target may be reachable, or sooner, and not found to be.
+    where it was stopped. What it finds undisturbed is a lower bound: a target
+    may be reachable, or sooner, and not found to be. Under noise the best of three is told by the tries that chose it.
 
     Args:
         policy: folder of a policy or a run, name of a shipped policy, or "jacobian" for the demonstrator.
@@ -88,10 +89,11 @@ def search(
     task = "reach" if learned is None else learned.task
     if task not in ("reach", "precise", "quiet"):
         raise CdcsrError(f"{controller.name} is for {task}; a search is for reaching: reach, precise, quiet.")
+    if learned is not None and learned.frame_skip != 1:
+        raise CdcsrError(f"{controller.name} holds actions for {learned.frame_skip} steps; a search is for one a step.")
     common: dict[str, Any] = {
         "robot": description, "backend": backend, "space": space, "task": task, "autoreset_mode": "Disabled",
-        "frame_skip": 1 if learned is None else learned.frame_skip,
-        "centers": None if learned is None else learned.centers,
+                "centers": None if learned is None else learned.centers,
     }  # fmt: skip
     drawn = ReachVectorEnv(episodes, **common)
     drawn.reset(seed=seed)
@@ -161,17 +163,26 @@ def _claim(out: Path, identity: dict[str, Any], force: bool) -> list[_Row]:
     from cdcsr.files import write_json
 
     path, table = out / "search.json", out / "targets.csv"
-    if out.exists() and not force:
+    if out.exists() and (not out.is_dir() or any(not entry.name.startswith(".") for entry in out.iterdir())):
         try:
             found = json.loads(path.read_text("utf-8"))
         except (OSError, ValueError):
-            raise CdcsrError(f"{out} exists and is not a search; give another folder, or --force.") from None
+            found = None
+        if not isinstance(found, dict) or not found.keys() >= {"controller", "rounds"}:
+            raise CdcsrError(f"{out} exists and is not a search; give another folder.")
+        if force:
+            try:
+                table.unlink(missing_ok=True)
+            except OSError as error:
+                raise CdcsrError(f"Cannot delete {table}: {error.strerror}.") from None
+            found = identity
         if found != identity:
             differing = sorted(name for name in found.keys() | identity.keys() if found.get(name) != identity.get(name))
             raise CdcsrError(
                 f"{out} holds another search ({', '.join(differing)}); give another folder, or --force to start anew."
             )
         if not table.is_file():
+            write_json(path, identity)
             return []
         try:
             with table.open(newline="", encoding="utf-8") as file:
@@ -179,7 +190,5 @@ def _claim(out: Path, identity: dict[str, Any], force: bool) -> list[_Row]:
             return [_Row(int(line[0]), *line[1:]) for line in lines]
         except (OSError, ValueError, TypeError) as error:
             raise CdcsrError(f"{table} is damaged ({error}); delete it to have it made again.") from None
-    if table.is_file():
-        table.unlink()
     write_json(path, identity)
     return []

@@ -22,7 +22,11 @@ def test_the_command_goes_on_and_refuses_another_search(tmp_path: Path, capsys: 
     assert summary["best_length"] <= summary["length"]
     assert search(halted, 2) == 0
     lines = (halted / "targets.csv").read_text().splitlines(keepends=True)
-    (halted / "targets.csv").write_text("".join(lines[:2]))  # stopped after the first target
+    kept = lines[1].replace(lines[1].split(",")[1], "0.125")  # what is there already is not made again
+    (halted / "targets.csv").write_text(lines[0] + kept)  # stopped after the first target
+    assert search(halted, 2) == 0
+    assert (halted / "targets.csv").read_text() == lines[0] + kept + lines[2]
+    (halted / "targets.csv").write_text("".join(lines[:2]))
     assert search(halted, 2) == 0
     assert (halted / "targets.csv").read_text() == (whole / "targets.csv").read_text()
     assert json.loads((tmp_path / "summary.json").read_text()) == summary
@@ -36,7 +40,10 @@ def test_the_command_goes_on_and_refuses_another_search(tmp_path: Path, capsys: 
     assert search(whole, 2) == 2
     assert "damaged" in capsys.readouterr().err
     (tmp_path / "other").mkdir()
-    assert search(tmp_path / "other", 2) == 2
+    (tmp_path / "other" / "targets.csv").write_text("precious")
+    for force in ((), ("--force",)):
+        assert search(tmp_path / "other", 2, *force) == 2
+    assert (tmp_path / "other" / "targets.csv").read_text() == "precious"
     assert "is not a search" in capsys.readouterr().err
     assert search(whole / "search.json" / "below", 2) == 2
     assert "Cannot write" in capsys.readouterr().err
