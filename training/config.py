@@ -261,6 +261,9 @@ class Train:
         for name in ("learning_rate", "bc_learning_rate"):
             if not getattr(learner, name) > 0:
                 raise CdcsrError(f"{name} must be positive, not {getattr(learner, name)}.")
+        for name in ("clone_anchor", "anchor_floor", "self_imitation"):
+            if not 0 <= getattr(learner, name) < math.inf:
+                raise CdcsrError(f"{name} must be finite and not negative, not {getattr(learner, name)}.")
         if learner.practice and self.algorithm == "bc":
             raise CdcsrError(f"practice must be 0 for bc, which does not practise, not {learner.practice}.")
         if not 0 <= learner.practice < math.inf:

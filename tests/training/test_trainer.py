@@ -167,6 +167,7 @@ def test_demonstrations_of_another_robot_are_refused(tmp_path: Path, demonstrati
 @pytest.mark.parametrize(
     ("numbers", "message"),
     [
+        ({"clone_anchor": -3.0}, "clone_anchor must be finite and not negative"),
         ({"target_critics": 3}, "target_critics must be between 1 and critics"),
         ({"batch_size": 0}, "batch_size must be at least 1"),
         ({"discount": 1.5}, "discount must lie in"),
