@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import time
 from collections.abc import Callable
+from dataclasses import replace
 from itertools import pairwise
 from typing import Any
 
@@ -20,6 +21,7 @@ from training.algorithms import ALGORITHMS
 from training.collector import FinishedEpisode
 from training.config import Learner, learner_for
 from training.memory import Memory
+from training.precision import bfloat16_products, products
 
 _PRODUCTS = 50
 """Matrix products timed for every update: about as many operations."""
@@ -55,7 +57,9 @@ def update_speed(python: str, updates: int = 4, rounds: int = 40) -> dict[str, A
 
     Stable-baselines3 (a development dependency) and SBX (its sibling in JAX, optional) with n_critics = 5 and the same
     networks, all on random data of the paper's sizes, each in one thread, taking turns; medians over the rounds. An
-    update includes drawing its batch. Times are the processor's, so that what other jobs do counts as little as it can.
+    update includes drawing its batch. Where the processor multiplies faster in bfloat16, our updates and those of
+    stable-baselines3 are timed that way as well. Times are the processor's, so that what other jobs do counts as little
+    as it can.
 
     Args:
         python: an interpreter that has sbx-rl, if any; it runs in a process of its own.
@@ -65,15 +69,21 @@ def update_speed(python: str, updates: int = 4, rounds: int = 40) -> dict[str, A
     Returns:
         Updates per second; by algorithm in `ratio` and `sbx_ratio` ours to theirs, the latter None where there is no
         SBX; `product_gflops`, the rate of a 256 x 256 matrix product, over and over in the cache;
-        `share_of_product_rate`, at which part of that rate our whole update runs, of BATD3.
+        `share_of_product_rate`, at which part of that rate our whole update runs, of BATD3; `bfloat16`, the same with
+        products in bfloat16 (against what the others do by themselves, and `product_gflops` in float32; in
+        `like_for_like` by algorithm ours to those of stable-baselines3 in bfloat16), or None.
     """
     torch.set_num_threads(1)
     robot = load_robot("paper")
+    others = _stable_baselines()
     turns: dict[str, Callable[[int], float]] = {
         **{name: _own_time(own_updates(name)) for name in OWN},
-        "stable_baselines3": _own_time(_stable_baselines()),
+        "stable_baselines3": _own_time(others),
         "product": _own_time(_matrix_product()),
     }
+    if faster := bfloat16_products():
+        turns |= {f"{name}_bfloat16": _own_time(own_updates(name, bfloat16=True)) for name in OWN}
+        turns["stable_baselines3_bfloat16"] = _own_time(_in_bfloat16(others))
     with contextlib.ExitStack() as stack:
         with contextlib.suppress(MissingPeer):
             setup = _SBX.format(observation=observation_size(robot), action=robot.num_cables)
@@ -86,17 +96,32 @@ def update_speed(python: str, updates: int = 4, rounds: int = 40) -> dict[str, A
                 if turn:  # the first turn only warms up
                     times[name].append(taken / updates)
     median = {name: float(np.median(values)) for name, values in times.items()}
-    product_rate = _PRODUCTS * 2 * 256**3 / median["product"]
-    sbx_time, others_time = median.get("sbx"), median["stable_baselines3"]
     return {
-        "updates_per_second": {name: 1 / median[name] for name in OWN},
-        "stable_baselines3_updates_per_second": 1 / others_time,
-        "ratio": {name: others_time / median[name] for name in OWN},
-        "sbx_updates_per_second": sbx_time and 1 / sbx_time,
-        "sbx_ratio": {name: sbx_time and sbx_time / median[name] for name in OWN},
-        "product_gflops": product_rate / 1e9,
-        "share_of_product_rate": update_flops(Learner(), robot) / median["batd3"] / product_rate,
+        "stable_baselines3_updates_per_second": 1 / median["stable_baselines3"],
+        "sbx_updates_per_second": 1 / median["sbx"] if "sbx" in median else None,
+        "product_gflops": _product_rate(median) / 1e9,
+        **_speeds(median, robot),
+        "bfloat16": _speeds(median, robot, "_bfloat16") if faster else None,
     }
+
+
+def _speeds(median: dict[str, float], robot: Robot, kind: str = "") -> dict[str, Any]:
+    """What `update_speed` returns of our updates of one kind, from the seconds that everybody's take."""
+    ours, others, sbx = {name: median[name + kind] for name in OWN}, median["stable_baselines3"], median.get("sbx")
+    speeds: dict[str, Any] = {
+        "updates_per_second": {name: 1 / time for name, time in ours.items()},
+        "ratio": {name: others / time for name, time in ours.items()},
+        "sbx_ratio": {name: sbx and sbx / time for name, time in ours.items()},
+        "share_of_product_rate": update_flops(Learner(), robot) / ours["batd3"] / _product_rate(median),
+    }
+    if kind:
+        speeds["like_for_like"] = {name: median["stable_baselines3" + kind] / time for name, time in ours.items()}
+    return speeds
+
+
+def _product_rate(median: dict[str, float]) -> float:
+    """Floating-point operations per second of the matrix product."""
+    return _PRODUCTS * 2 * 256**3 / median["product"]
 
 
 def side_by_side(updates: int = 20, rounds: int = 12) -> float:
@@ -138,14 +163,15 @@ def _weights(inputs: int, hidden: tuple[int, ...], outputs: int) -> int:
     return sum(n * m for n, m in pairwise(widths))
 
 
-def own_updates(name: str = "batd3") -> Callable[[int], None]:
+def own_updates(name: str = "batd3", bfloat16: bool = False) -> Callable[[int], None]:
     """Does so many updates of an algorithm with the paper's numbers, on random data, each with a batch from the replay.
 
     Args:
         name: one of :data:`training.algorithms.ALGORITHMS`.
+        bfloat16: with products in bfloat16.
     """
     torch.set_num_threads(1)
-    robot, learner = load_robot("paper"), learner_for(name, "paper")
+    robot, learner = load_robot("paper"), replace(learner_for(name, "paper"), bfloat16=bfloat16)
     algorithm = ALGORITHMS[name](robot, learner, torch.Generator().manual_seed(0))
     rng, cables = np.random.default_rng(0), robot.num_cables
 
@@ -169,6 +195,14 @@ def _own_time(function: Callable[[int], None]) -> Callable[[int], float]:
         start = time.thread_time()
         function(count)
         return time.thread_time() - start
+
+    return run
+
+
+def _in_bfloat16(function: Callable[[int], None]) -> Callable[[int], None]:
+    def run(count: int) -> None:
+        with products(Learner(bfloat16=True)):
+            function(count)
 
     return run
 

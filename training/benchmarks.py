@@ -124,17 +124,24 @@ class Benchmarks:
             speed = update_speed(self._peers)
         except ModuleNotFoundError as error:
             raise CdcsrError(f"{error.name} is needed to compare with; install the development dependencies.") from None
-        size = "E = 5, 3 x 256, batch 256"
         floor = f"256 x 256 product: {speed['product_gflops']:.0f} GFLOP/s"
-        what = f"BATD3 updates/s ({size}) over those at the product's rate"
-        self._row("update_share", speed["share_of_product_rate"], what, floor)
         other = f"{speed['stable_baselines3_updates_per_second']:.1f} updates/s"
         sbx = speed["sbx_updates_per_second"]
         jax = "pip install sbx-rl, here or for --peers" if sbx is None else f"{sbx:.1f} updates/s"
-        for name in OWN:
-            ours = f"{algorithm_title(name)} updates/s ({size}) over"
-            other_td3 = f"{ours} stable-baselines3's TD3, five critics"
-            self._row(f"update_sb3_{name}", speed["ratio"][name], other_td3, other)
-            self._row(f"update_sbx_{name}", speed["sbx_ratio"][name], f"{ours} SBX's TD3 (JAX), five critics", jax)
+        for kind, ours in (("", speed), ("_bfloat16", speed["bfloat16"])):
+            if ours is None:
+                print("        products in bfloat16: no faster on this processor")
+                continue
+            size = "E = 5, 3 x 256, batch 256" + (", products in bfloat16" if kind else "")
+            what = f"BATD3 updates/s ({size}) over those at the product's rate"
+            self._row(f"update_share{kind}", ours["share_of_product_rate"], what, floor)
+            for name in OWN:
+                title = f"{algorithm_title(name)} updates/s ({size}) over"
+                theirs = f"{title} stable-baselines3's TD3, five critics"
+                self._row(f"update_sb3_{name}{kind}", ours["ratio"][name], theirs, other)
+                self._row(f"update_sbx_{name}{kind}", ours["sbx_ratio"][name], f"{title} SBX's TD3 (JAX)", jax)
+                if kind:
+                    alike = ours["like_for_like"][name]
+                    self._row(f"update_sb3{kind}_{name}{kind}", alike, f"{theirs}, in bfloat16 too")
         self.results["update"] = speed
         self._row("side_by_side", side_by_side(), "speed of a run's updates with another run beside it over alone")

@@ -32,12 +32,14 @@ from training.algorithms.bc import Progress, imitate
 from training.algorithms.td3 import TD3
 from training.checkpoints import load_state, save_state
 from training.collector import Collector, FinishedEpisode, exploration_noise
-from training.config import Learner, Train
+from training.config import Train
 from training.evaluation import VALIDATION_SEED, Result, evaluate
+from training.heeded import refuse_unheeded
 from training.memory import Memory
 from training.metrics import Meter, Metrics
 from training.networks import Actor
 from training.policy import Policy, load_policy
+from training.precision import bfloat16_products
 from training.run_folder import claim_folder
 
 Array = NDArray[np.float64]
@@ -72,7 +74,9 @@ class Run:
         if config.learner.symmetry and len(images(self.robot)) == 1:
             raise CdcsrError(f"symmetry must be off: the cables of {self.robot.name!r} have no mirror image.")
         self._check_memory(actions_per_episode(task.max_steps, config.frame_skip))
-        self._check_heeded()
+        refuse_unheeded(config)
+        if config.learner.bfloat16 and not bfloat16_products():
+            print("This processor multiplies no faster in bfloat16; products stay in float32.", flush=True)
         self.reward: Reward = "sparse" if config.algorithm == "bc" else ALGORITHMS[config.algorithm].reward
         self.episodes = self._demonstrations()
         identity = {**config.identity(), "fingerprint": self.robot.fingerprint}
@@ -111,18 +115,6 @@ class Run:
         kept = config.algorithm != "bc" and ALGORITHMS[config.algorithm].uses_demonstrations
         if learner.kept_share > 0 and not kept:
             raise CdcsrError(f"kept_share must be 0 for {config.algorithm}, which keeps no episodes.")
-
-    def _check_heeded(self) -> None:
-        """Refuse numbers that this algorithm would not look at, though others do."""
-        config, unset = self.config, Learner()
-        heeds = frozenset() if config.algorithm == "bc" else ALGORITHMS[config.algorithm].heeds
-        for name in sorted(frozenset().union(*(each.heeds for each in ALGORITHMS.values())) - heeds):
-            found, usual = getattr(config.learner, name), getattr(unset, name)
-            if found != usual:
-                who = ", ".join(each for each, variant in ALGORITHMS.items() if name in variant.heeds)
-                raise CdcsrError(
-                    f"{name} must be {usual} for {config.algorithm}, not {found}: it is read by {who} only."
-                )
 
     # -- before learning ------------------------------------------------------------------------------------
 

@@ -25,8 +25,10 @@ from controllers.commands import demonstrate
 from training.collector import Collector
 from training.config import PRESETS, Learner, Train, learner_for
 from training.evaluation import Result
+from training.heeded import refuse_unheeded
 from training.networks import Actor
 from training.policy import Policy, load_policy
+from training.study.grid import BUDGETS, EXPERIMENTS, collect
 from training.trainer import Run, train
 
 _SMALL = dataclasses.replace(
@@ -76,6 +78,7 @@ _EVERYTHING = dataclasses.replace(
         ("td3", {}),
         ("batd3", {}),
         ("td3", {"randomize": 1.0}),
+        ("batd3", {"learner": dataclasses.replace(_SMALL, hidden=(64, 64), batch_size=64, bfloat16=True)}),
         ("clasp", {"learner": _EVERYTHING}),
         ("her", {"task": "capture-drift", "learner": dataclasses.replace(_SMALL, hindsight=1)}),
     ],
@@ -220,6 +223,23 @@ def test_practice_is_past_the_space_and_measured_within_it(
     assert max(seen["shown"]) < 1e-12
 
 
+@pytest.mark.parametrize("switch", [{"hindsight": 2}, {"noise_ladder": True}, {"bfloat16": True}])
+def test_a_clone_refuses_what_is_for_practice_and_minds_no_sizes(tmp_path: Path, switch: dict[str, Any]) -> None:
+    (name,) = switch
+    learner = dataclasses.replace(_SMALL, **switch)
+    with pytest.raises(CdcsrError, match=f"{name} must be .* for bc, not .*: it is for methods that practise"):
+        refuse_unheeded(Train(tmp_path, algorithm="bc", learner=learner))
+    refuse_unheeded(Train(tmp_path, algorithm="bc", learner=_SMALL))
+
+
+def test_every_run_of_the_study_heeds_what_is_changed_in_it() -> None:
+    runs = collect(list(EXPERIMENTS), BUDGETS["paper"]).values()
+    for spec, _ in runs:
+        if spec.trains:
+            refuse_unheeded(spec.train(Path("nowhere")))
+    assert len(runs) > 500
+
+
 def test_a_clone_does_not_practise() -> None:
     with pytest.raises(CdcsrError, match="practice must be 0 for bc"):
         Train(out=Path("x"), algorithm="bc", learner=dataclasses.replace(_SMALL, practice=0.1))
@@ -233,6 +253,7 @@ def test_a_clone_does_not_practise() -> None:
         ({"kept_share": 0.5}, "kept_share must be 0 for td3"),
         ({"self_imitation": 1.0}, "self_imitation must be 0.0 for td3, not 1.0: it is read by clasp only"),
         ({"target_choice": "hard"}, "target_choice must be softmax for td3, not hard: it is read by batd3, "),
+        ({"keep_successes": True}, "keep_successes must be False for td3, not True: kept_share is 0"),
     ],
 )
 def test_numbers_that_cannot_serve_are_refused(

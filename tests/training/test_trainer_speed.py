@@ -9,24 +9,28 @@ import pytest
 from cdcsr.robot import load_robot
 from training import bench
 from training.config import Learner
+from training.precision import bfloat16_products
 
 
 def test_every_speed_is_a_ratio_of_the_same_updates(monkeypatch: pytest.MonkeyPatch) -> None:
     done: dict[str, int] = {}
     built = bench.own_updates
 
-    def counted(name: str) -> object:
-        run = built(name)
+    def counted(name: str, bfloat16: bool = False) -> object:
+        run, kind = built(name, bfloat16), name + "_bfloat16" * bfloat16
 
         def count(updates: int) -> None:
-            done[name] = done.get(name, 0) + updates
+            done[kind] = done.get(kind, 0) + updates
             run(updates)
 
         return count
 
     monkeypatch.setattr(bench, "own_updates", counted)
     speed = bench.update_speed(sys.executable, updates=2, rounds=1)
-    assert done == dict.fromkeys(bench.OWN, 4)  # a turn to warm up, and one that is measured
+    kinds = ("", "_bfloat16") if bfloat16_products() else ("",)
+    # A turn to warm up, and one that is measured.
+    assert done == dict.fromkeys([name + kind for name in bench.OWN for kind in kinds], 4)
+    assert (speed["bfloat16"] is not None) == ("_bfloat16" in kinds)
     for name in bench.OWN:
         theirs, ours = speed["stable_baselines3_updates_per_second"], speed["updates_per_second"][name]
         assert speed["ratio"][name] == pytest.approx(ours / theirs)

@@ -17,6 +17,7 @@ from cdcsr.robot import Robot
 from cdcsr.task import Reward
 from training.config import Learner
 from training.networks import Actor, Critics
+from training.precision import products
 from training.replay import Batch
 
 ANCHORED = frozenset({"clone_anchor", "anchor_updates", "anchor_floor"})
@@ -71,6 +72,10 @@ class TD3:
         Returns:
             Scalars worth logging.
         """
+        with products(self.learner):
+            return self._update(batch)
+
+    def _update(self, batch: Batch) -> dict[str, Tensor]:
         self.updates += 1
         self._set_learning_rate()
         encoded = self.actor.encoder(batch.observation)

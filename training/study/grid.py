@@ -227,13 +227,25 @@ def ours(budget: Budget) -> Iterator[Cell]:
 
 
 def harder(budget: Budget) -> Iterator[Cell]:
-    """Capturing and following: ours without each of its parts, and BATD3 with all of our numbers that it heeds."""
+    """Capturing and following: ours with one part fewer or more, and BATD3 with all of our numbers that it heeds."""
+    from training.algorithms import ALGORITHMS  # it needs torch, which a list of runs need not wait for
+
+    only_ours = ALGORITHMS[OURS].heeds - ALGORITHMS["batd3"].heeds
     for seed in range(budget.seeds):
         for task in HARDER:
             lent = learner_for(OURS, "tuned", task).differences(learner_for("batd3", "tuned", task))
-            rival = tuple((name, value) for name, value in lent.items() if name != "self_imitation")
+            rival = tuple((name, value) for name, value in lent.items() if name not in only_ours)
             for algorithm, switches in ((OURS, ()), ("batd3", rival), *((OURS, each) for each in HARDER_SWITCHES)):
                 yield _spec(budget, algorithm, "anchor", seed, task=task, switches=switches), ("nominal",)
+
+
+def bfloat16(budget: Budget) -> Iterator[Cell]:
+    """Updates whose products are in bfloat16, and in float32 as everywhere else: BATD3 and ours in the three spaces."""
+    for seed in range(budget.seeds):
+        for space in SPACES:
+            for algorithm in ("batd3", OURS):
+                for switches in ((("bfloat16", True),), ()):
+                    yield _spec(budget, algorithm, space, seed, switches=switches), ("nominal",)
 
 
 def longer(budget: Budget) -> Iterator[Cell]:
@@ -265,6 +277,7 @@ EXPERIMENTS: dict[str, Experiment] = {
     "practice": practice,
     "ours": ours,
     "harder": harder,
+    "bfloat16": bfloat16,
     "longer": longer,
     "paper-preset": paper_preset,
 }
