@@ -68,6 +68,8 @@ class Rollout:
     """(N,) actions until the end of each episode."""
     distance: Array
     """(N,) from tip to target at that end, in [m]."""
+    nearest: Array
+    """(N,) the least it was before or at that end, in [m]; of the plant, whatever was observed."""
 
     def successes(self) -> list[Episode]:
         """The successful episodes, each cut to its length."""
@@ -120,7 +122,8 @@ def rollout(controller: Controller, env: ReachVectorEnv, observation: Array) -> 
     num = env.num_envs
     active = np.ones(num, dtype=bool)
     success, ended = np.zeros((2, num), dtype=bool)
-    length, distance = np.zeros(num, dtype=np.int64), np.full(num, np.inf)
+    length = np.zeros(num, dtype=np.int64)
+    distance, nearest = np.full((2, num), np.inf)
     observations, actions, rewards, targets = [observation], [], [], env.targets.copy()
     while active.any():
         action = controller.act(env, observation, active)
@@ -130,12 +133,13 @@ def rollout(controller: Controller, env: ReachVectorEnv, observation: Array) -> 
         rewards.append(reward)
         length[active] += 1
         distance[active] = info["distance"][active]
+        nearest[active] = np.minimum(nearest, info["distance"])[active]
         success[active] = info["is_success"][active]
         ended |= active & terminated
         active &= ~(terminated | truncated)
     return Rollout(
         np.stack(observations, axis=1), np.stack(actions, axis=1), targets, np.stack(rewards, axis=1),
-        success, ended, length, distance,
+        success, ended, length, distance, nearest,
     )  # fmt: skip
 
 

@@ -6,6 +6,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 if TYPE_CHECKING:
+    import numpy as np
+    from numpy.typing import NDArray
+
     from controllers.search import Outcome
 
 _COPIES = 48
@@ -48,8 +51,7 @@ def search(
     """Search, target by target, for commands that do better than a controller: what could be done at all.
 
     Offsets to the controller's own commands are searched for by the cross-entropy method, 48 plans a round. Goes on
-    where it was stopped. What it finds undisturbed is a lower bound: a target
-    may be reachable, or sooner, and not found to be. Under noise the best of three is told by the tries that chose it.
+    where it was stopped. What it finds is a lower bound: a target may be reachable, or sooner, and not found to be.
 
     Args:
         policy: folder of a policy or a run, name of a shipped policy, or "jacobian" for the demonstrator.
@@ -105,7 +107,7 @@ def search(
         "episodes": episodes, "rounds": rounds, "missed": missed, "action_noise": action_noise,
         "base_noise": base_noise, "packet_loss": packet_loss,
     }  # fmt: skip
-    rows = _claim(out, identity, force)
+    rows = _claim(out, identity, targets.round(4), force)
     env = ReachVectorEnv(_COPIES, disturbances=disturbances, **common)
     try:
         for episode in range(len(rows), episodes):
@@ -150,7 +152,7 @@ def _summary(rows: list[_Row], most: int) -> dict[str, Any]:
     }
 
 
-def _claim(out: Path, identity: dict[str, Any], force: bool) -> list[_Row]:
+def _claim(out: Path, identity: dict[str, Any], targets: NDArray[np.float64], force: bool) -> list[_Row]:
     """Take the folder for this search, and return what it has found already.
 
     Raises:
@@ -187,8 +189,13 @@ def _claim(out: Path, identity: dict[str, Any], force: bool) -> list[_Row]:
         try:
             with table.open(newline="", encoding="utf-8") as file:
                 lines = [[*map(float, line.values())] for line in csv.DictReader(file)]
-            return [_Row(int(line[0]), *line[1:]) for line in lines]
+            rows = [_Row(int(line[0]), *line[1:]) for line in lines]
         except (OSError, ValueError, TypeError) as error:
             raise CdcsrError(f"{table} is damaged ({error}); delete it to have it made again.") from None
+        if [(row.episode, row.x, row.y, row.z) for row in rows] != [
+            (episode, *target) for episode, target in enumerate(targets[: len(rows)].tolist())
+        ]:
+            raise CdcsrError(f"{table} is of other targets; give another folder, or --force to start anew.")
+        return rows
     write_json(path, identity)
     return []

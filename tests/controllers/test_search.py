@@ -2,13 +2,18 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
+import pytest
 from numpy.typing import NDArray
 
 from cdcsr.disturbances import Disturbances
 from cdcsr.envs import ReachVectorEnv
+from cdcsr.observation import DISTANCE
+from controllers import search
 from controllers.controller import Controller
-from controllers.demonstrations import rollout
+from controllers.demonstrations import Rollout, rollout
 from controllers.search import HOLD, Nudged, Outcome, improve
 
 Array = NDArray[np.float64]
@@ -78,11 +83,11 @@ def test_a_target_that_is_known_to_be_reachable_is_come_near_to() -> None:
         each.close()
 
 
-def test_what_is_found_is_never_worse_and_is_not_sought_where_it_is_not_wanted() -> None:
+def test_what_is_found_is_hardly_worse_and_is_not_sought_where_it_is_not_wanted() -> None:
     env = _envs(6, 20, noise=1.0)
     target = np.array([0.2, 0.1, 2.5])
     alone, best = improve(Slack(), env, target, 1, 0)
-    assert best.order <= alone.order
+    assert best.nearest < alone.nearest + 0.02  # of tries drawn anew
     calls = []
 
     class Counted(Slack):
@@ -93,3 +98,76 @@ def test_what_is_found_is_never_worse_and_is_not_sought_where_it_is_not_wanted()
     assert improve(Counted(), env, target, 3, 0, lambda outcome: outcome.reached > 0) == (alone, alone)
     assert len(calls) == 20
     env.close()
+
+
+def test_nearest_is_of_the_plant_and_not_what_a_lossy_link_shows() -> None:
+    env = ReachVectorEnv(
+        2, max_steps=60, threshold=1e-9, autoreset_mode="Disabled", disturbances=Disturbances(0.0, 0.0, 1.0)
+    )
+    observation, _ = env.reset(seed=0)
+    targets, tips = env.targets.copy(), []
+
+    class Watched(Slack):
+        def act(self, env: ReachVectorEnv, observation: Array, active: NDArray[np.bool_]) -> Array:
+            tips.append(env.simulation.state().tip_position.copy())
+            return super().act(env, observation, active)
+
+    result = rollout(Watched(5.0), env, observation)
+    assert np.ptp(result.observations[..., DISTANCE], axis=1).max() == 0  # nothing arrives
+    far = np.linalg.norm(np.array([*tips[1:], env.simulation.state().tip_position]) - targets, axis=-1)
+    np.testing.assert_allclose(result.nearest, far.min(0), rtol=1e-12)
+    env.close()
+
+
+class Landscape:
+    """In place of episodes: how long one takes is a function of its plan, and of chance."""
+
+    def __init__(self, length: Callable[[Array, np.random.Generator], float], chance: float = 1.0) -> None:
+        self.length, self.chance, self.rng, self.tries = length, chance, np.random.default_rng(0), 0
+
+    def __call__(self, controller: Nudged, env: ReachVectorEnv, _: Array) -> Rollout:
+        self.tries += 1
+        plans, num, nothing = controller._plans, env.num_envs, np.zeros(0)
+        length = np.array([round(self.length(plan, self.rng)) for plan in plans])
+        success = self.rng.random(num) < self.chance
+        return Rollout(
+            nothing, nothing, nothing, nothing, success, success, np.where(success, length, 250), nothing, np.ones(num)
+        )
+
+
+def _improve(monkeypatch: pytest.MonkeyPatch, landscape: Landscape, num: int, rounds: int) -> tuple[Outcome, Outcome]:
+    monkeypatch.setattr(search, "rollout", landscape)
+    env = _envs(num)
+    try:
+        return improve(Slack(), env, np.array([0.2, 0.1, 2.5]), rounds, 1)
+    finally:
+        env.close()
+
+
+def test_where_luck_is_great_the_middle_of_the_round_is_what_is_found(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The luckiest plan of all rounds is not good again; the middle of the last ones is."""
+
+    def length(plan: Array, rng: np.random.Generator) -> float:
+        far = np.square(plan[0] / 5 - 0.5).mean()
+        return 30 if far > 0.15 and rng.random() < 0.03 else 60 + 200 * far
+
+    alone, best = _improve(monkeypatch, Landscape(length), 48, 15)
+    assert alone.length > 105
+    assert best.length < 80
+
+
+def test_where_one_plan_stands_out_that_plan_is_what_is_found(monkeypatch: pytest.MonkeyPatch) -> None:
+    """One in forty takes half the time, and the middle of those that are kept does not."""
+
+    def length(plan: Array, rng: np.random.Generator) -> float:  # noqa: ARG001
+        return 50 if plan[0, 0] > 2 * search.WIDTH * 5 else 100
+
+    alone, best = _improve(monkeypatch, Landscape(length), 48, 2)
+    assert (alone.length, best.length) == (100, 50)
+
+
+def test_what_is_told_is_not_the_luck_of_the_tries_that_chose_it(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Every plan succeeds half of the time; the best of three sets of six tries would say 0.66."""
+    landscape = Landscape(lambda plan, rng: 100.0, 0.5)  # noqa: ARG005
+    told = np.array([[outcome.reached for outcome in _improve(monkeypatch, landscape, 6, 1)] for _ in range(150)])
+    assert np.abs(told.mean(0) - 0.5).max() < 0.06  # four standard errors

@@ -22,7 +22,7 @@ def test_the_command_goes_on_and_refuses_another_search(tmp_path: Path, capsys: 
     assert summary["best_length"] <= summary["length"]
     assert search(halted, 2) == 0
     lines = (halted / "targets.csv").read_text().splitlines(keepends=True)
-    kept = lines[1].replace(lines[1].split(",")[1], "0.125")  # what is there already is not made again
+    kept = lines[1].replace(lines[1].split(",")[5], "12.5")  # what is there already is not made again
     (halted / "targets.csv").write_text(lines[0] + kept)  # stopped after the first target
     assert search(halted, 2) == 0
     assert (halted / "targets.csv").read_text() == lines[0] + kept + lines[2]
@@ -36,6 +36,9 @@ def test_the_command_goes_on_and_refuses_another_search(tmp_path: Path, capsys: 
     assert "holds another search (missed)" in capsys.readouterr().err
     assert search(whole, 1) == 2
     assert "holds another search (episodes)" in capsys.readouterr().err
+    (whole / "targets.csv").write_text(lines[0] + lines[2])
+    assert search(whole, 2) == 2
+    assert "is of other targets" in capsys.readouterr().err
     (whole / "targets.csv").write_text("episode,x\n0,north\n")
     assert search(whole, 2) == 2
     assert "damaged" in capsys.readouterr().err
