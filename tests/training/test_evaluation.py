@@ -9,7 +9,6 @@ import numpy as np
 import pytest
 import torch
 from numpy.typing import NDArray
-from scipy.stats import binomtest
 
 from cdcsr import cli
 from cdcsr.disturbances import Disturbances
@@ -37,9 +36,15 @@ class Still(Controller):
 
 
 @pytest.mark.parametrize(("successes", "total"), [(0, 100), (97, 100), (100, 100), (1, 3), (50, 1000)])
-def test_wilson_interval_is_scipys(successes: int, total: int) -> None:
-    expected = binomtest(successes, total).proportion_ci(0.95, method="wilson")
-    assert wilson(successes, total) == pytest.approx((expected.low, expected.high), abs=1e-12)
+def test_wilson_bounds_are_where_the_score_test_just_rejects(successes: int, total: int) -> None:
+    low, high = wilson(successes, total)
+    share = successes / total
+    for bound in (low, high):
+        if 0 < bound < 1:
+            assert abs(share - bound) / np.sqrt(bound * (1 - bound) / total) == pytest.approx(1.959963984540054)
+    assert (low == 0) == (successes == 0)
+    assert (high == 1) == (successes == total)
+    assert low <= share <= high
 
 
 def test_failures_count_in_full_and_distances_are_the_last() -> None:
