@@ -73,8 +73,8 @@ def improve(
     reaches the target is better the sooner it does, and one that does not the nearer it comes. The controller keeps
     on closing the loop beneath, and its own commands are a plan of the first round. In the end the best plan, and the
     middle of the last round's, are tried in all copies, and the best of these two and the controller alone is tried
-    once more, under disturbances drawn anew: how that goes is a lower bound of what can be done, and no luck of the
-    tries that chose it is in it.
+    once more, under disturbances drawn anew: how that goes is a lower bound of what can be done, or under disturbances
+    an estimate of one, without the luck of the tries that chose it.
 
     Args:
         controller: where the search begins.

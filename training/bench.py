@@ -27,6 +27,8 @@ _PRODUCTS = 50
 """Matrix products timed for every update: about as many operations."""
 OWN = ("batd3", "td3", "clasp")
 """Algorithms whose updates are timed."""
+_BFLOAT16 = "_bfloat16"
+"""Ends the name of what is timed with products in bfloat16."""
 _OURS = """
 from training.bench import own_updates
 run = own_updates()
@@ -67,11 +69,13 @@ def update_speed(python: str, updates: int = 4, rounds: int = 40) -> dict[str, A
         rounds: turns of each.
 
     Returns:
-        Updates per second; by algorithm in `ratio` and `sbx_ratio` ours to theirs, the latter None where there is no
-        SBX; `product_gflops`, the rate of a 256 x 256 matrix product, over and over in the cache;
-        `share_of_product_rate`, at which part of that rate our whole update runs, of BATD3; `bfloat16`, the same with
-        products in bfloat16 (against what the others do by themselves, and `product_gflops` in float32; in
-        `like_for_like` by algorithm ours to those of stable-baselines3 in bfloat16), or None.
+        `updates_per_second` of ours, by algorithm, and `stable_baselines3_updates_per_second` and
+        `sbx_updates_per_second` (None where there is no SBX); by algorithm in `ratio` and `sbx_ratio` ours to theirs;
+        `product_gflops`, the rate of a 256 x 256 matrix product, over and over in the cache; `share_of_product_rate`,
+        at which part of that rate our whole update runs, of BATD3. The same in `bfloat16`, of ours and of
+        stable-baselines3 with products in bfloat16 (None where that is no faster): `ratio`, `sbx_ratio` and
+        `share_of_product_rate` there are still to the others and to the product in float32; `like_for_like` and
+        `share_of_own_product_rate` are to those in bfloat16.
     """
     torch.set_num_threads(1)
     robot = load_robot("paper")
@@ -81,9 +85,10 @@ def update_speed(python: str, updates: int = 4, rounds: int = 40) -> dict[str, A
         "stable_baselines3": _own_time(others),
         "product": _own_time(_matrix_product()),
     }
-    if faster := bfloat16_products():
-        turns |= {f"{name}_bfloat16": _own_time(own_updates(name, bfloat16=True)) for name in OWN}
-        turns["stable_baselines3_bfloat16"] = _own_time(_in_bfloat16(others))
+    if bfloat16_products():
+        turns |= {name + _BFLOAT16: _own_time(own_updates(name, bfloat16=True)) for name in OWN}
+        turns["stable_baselines3" + _BFLOAT16] = _own_time(_in_bfloat16(others))
+        turns["product" + _BFLOAT16] = _own_time(_in_bfloat16(_matrix_product()))
     with contextlib.ExitStack() as stack:
         with contextlib.suppress(MissingPeer):
             setup = _SBX.format(observation=observation_size(robot), action=robot.num_cables)
@@ -95,33 +100,35 @@ def update_speed(python: str, updates: int = 4, rounds: int = 40) -> dict[str, A
                 taken = function(updates)
                 if turn:  # the first turn only warms up
                     times[name].append(taken / updates)
-    median = {name: float(np.median(values)) for name, values in times.items()}
+    return speeds({name: float(np.median(values)) for name, values in times.items()}, update_flops(Learner(), robot))
+
+
+def speeds(times: dict[str, float], flops: float) -> dict[str, Any]:
+    """What `update_speed` returns, from the seconds each one's turn takes and the operations of a BATD3 update."""
+    found = _speeds(times, flops, "")
+    if "product" + _BFLOAT16 in times:
+        alike = _speeds({name: times.get(name + _BFLOAT16, time) for name, time in times.items()}, flops, "")
+        found["bfloat16"] = _speeds(times, flops, _BFLOAT16) | {
+            "like_for_like": alike["ratio"],
+            "share_of_own_product_rate": alike["share_of_product_rate"],
+            **{name: alike[name] for name in ("stable_baselines3_updates_per_second", "product_gflops")},
+        }
+    return {"bfloat16": None} | found
+
+
+def _speeds(times: dict[str, float], flops: float, kind: str) -> dict[str, Any]:
+    """Those of our updates of one kind, to what the others do in float32."""
+    ours, others, sbx = {name: times[name + kind] for name in OWN}, times["stable_baselines3"], times.get("sbx")
+    product_rate = _PRODUCTS * 2 * 256**3 / times["product"]
     return {
-        "stable_baselines3_updates_per_second": 1 / median["stable_baselines3"],
-        "sbx_updates_per_second": 1 / median["sbx"] if "sbx" in median else None,
-        "product_gflops": _product_rate(median) / 1e9,
-        **_speeds(median, robot),
-        "bfloat16": _speeds(median, robot, "_bfloat16") if faster else None,
-    }
-
-
-def _speeds(median: dict[str, float], robot: Robot, kind: str = "") -> dict[str, Any]:
-    """What `update_speed` returns of our updates of one kind, from the seconds that everybody's take."""
-    ours, others, sbx = {name: median[name + kind] for name in OWN}, median["stable_baselines3"], median.get("sbx")
-    speeds: dict[str, Any] = {
         "updates_per_second": {name: 1 / time for name, time in ours.items()},
+        "stable_baselines3_updates_per_second": 1 / others,
+        "sbx_updates_per_second": sbx and 1 / sbx,
         "ratio": {name: others / time for name, time in ours.items()},
         "sbx_ratio": {name: sbx and sbx / time for name, time in ours.items()},
-        "share_of_product_rate": update_flops(Learner(), robot) / ours["batd3"] / _product_rate(median),
+        "product_gflops": product_rate / 1e9,
+        "share_of_product_rate": flops / ours["batd3"] / product_rate,
     }
-    if kind:
-        speeds["like_for_like"] = {name: median["stable_baselines3" + kind] / time for name, time in ours.items()}
-    return speeds
-
-
-def _product_rate(median: dict[str, float]) -> float:
-    """Floating-point operations per second of the matrix product."""
-    return _PRODUCTS * 2 * 256**3 / median["product"]
 
 
 def side_by_side(updates: int = 20, rounds: int = 12) -> float:
@@ -201,7 +208,7 @@ def _own_time(function: Callable[[int], None]) -> Callable[[int], float]:
 
 def _in_bfloat16(function: Callable[[int], None]) -> Callable[[int], None]:
     def run(count: int) -> None:
-        with products(Learner(bfloat16=True)):
+        with products(bfloat16=True):
             function(count)
 
     return run

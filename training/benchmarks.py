@@ -124,24 +124,30 @@ class Benchmarks:
             speed = update_speed(self._peers)
         except ModuleNotFoundError as error:
             raise CdcsrError(f"{error.name} is needed to compare with; install the development dependencies.") from None
-        floor = f"256 x 256 product: {speed['product_gflops']:.0f} GFLOP/s"
-        other = f"{speed['stable_baselines3_updates_per_second']:.1f} updates/s"
         sbx = speed["sbx_updates_per_second"]
         jax = "pip install sbx-rl, here or for --peers" if sbx is None else f"{sbx:.1f} updates/s"
+        product, others = (f"{speed[name]:.0f}" for name in ("product_gflops", "stable_baselines3_updates_per_second"))
+        product, others = f"256 x 256 product: {product} GFLOP/s", f"{others} updates/s"
         for kind, ours in (("", speed), ("_bfloat16", speed["bfloat16"])):
             if ours is None:
-                print("        products in bfloat16: no faster on this processor")
+                print("     -  with products in bfloat16: no faster on this processor")
                 continue
-            size = "E = 5, 3 x 256, batch 256" + (", products in bfloat16" if kind else "")
-            what = f"BATD3 updates/s ({size}) over those at the product's rate"
-            self._row(f"update_share{kind}", ours["share_of_product_rate"], what, floor)
+            size, theirs = "E = 5, 3 x 256, batch 256" + (", bfloat16" if kind else ""), " in float32" if kind else ""
+            what = f"BATD3 updates/s ({size}) over those at the rate of a product{theirs}"
+            self._row(f"update_share{kind}", ours["share_of_product_rate"], what, product)
             for name in OWN:
-                title = f"{algorithm_title(name)} updates/s ({size}) over"
-                theirs = f"{title} stable-baselines3's TD3, five critics"
-                self._row(f"update_sb3_{name}{kind}", ours["ratio"][name], theirs, other)
-                self._row(f"update_sbx_{name}{kind}", ours["sbx_ratio"][name], f"{title} SBX's TD3 (JAX)", jax)
-                if kind:
-                    alike = ours["like_for_like"][name]
-                    self._row(f"update_sb3{kind}_{name}{kind}", alike, f"{theirs}, in bfloat16 too")
+                over = f"{algorithm_title(name)} updates/s ({size}) over"
+                what = f"{over} stable-baselines3's TD3{theirs}, five critics"
+                self._row(f"update_sb3_{name}{kind}", ours["ratio"][name], what, others)
+                what = f"{over} SBX's TD3 (JAX){theirs}, five critics"
+                self._row(f"update_sbx_{name}{kind}", ours["sbx_ratio"][name], what, jax)
+        if (alike := speed["bfloat16"]) is not None:
+            what = "BATD3 updates/s (the same, bfloat16) over those at the rate of a product in bfloat16"
+            floor = f"256 x 256 product: {alike['product_gflops']:.0f} GFLOP/s"
+            self._row("update_share_bfloat16_alike", alike["share_of_own_product_rate"], what, floor)
+            floor = f"{alike['stable_baselines3_updates_per_second']:.0f} updates/s"
+            for name, ratio in alike["like_for_like"].items():
+                what = f"{algorithm_title(name)} updates/s (the same, bfloat16) over stable-baselines3's in bfloat16"
+                self._row(f"update_sb3_{name}_bfloat16_alike", ratio, what, floor)
         self.results["update"] = speed
         self._row("side_by_side", side_by_side(), "speed of a run's updates with another run beside it over alone")

@@ -6,14 +6,17 @@ from typing import TYPE_CHECKING
 
 from cdcsr.errors import CdcsrError
 from training.algorithms import ALGORITHMS
-from training.config import CLONES, Learner, learner_for
+from training.config import Learner, learner_for
 
 if TYPE_CHECKING:
     from training.config import Train
 
+_PRACTICE = frozenset({"bfloat16", "clone_start", "hindsight", "keep_successes", "noise_ladder", "step_cost"})
+"""Switches that say how one practises, which behaviour cloning does not."""
+
 
 def refuse_unheeded(config: Train) -> None:
-    """Make sure that whatever is switched on in the learner, or chosen for one method, does something in this run.
+    """Make sure that what is switched on in the learner for one method, or for practice, does something in this run.
 
     Sizes and rates may be there for nothing, so that several methods can be given one learner: behaviour cloning
     does not mind the number of environments.
@@ -28,12 +31,14 @@ def refuse_unheeded(config: Train) -> None:
 
 
 def _unheeded(name: str, config: Train) -> str:
-    """Why something would do nothing; empty if it would do something, or is no switch."""
+    """Why a switch would do nothing, or harm; empty if it would do something, or if this is no switch."""
     readers = [each for each, kind in ALGORITHMS.items() if name in kind.heeds]
     if readers and config.algorithm not in readers:
         return f"it is read by {', '.join(readers)} only"
-    if config.algorithm == "bc" and not getattr(Learner(), name) and name not in CLONES:
+    if config.algorithm == "bc" and name in _PRACTICE:
         return "it is for methods that practise"
     if name == "keep_successes" and config.learner.kept_share == 0:
         return "kept_share is 0, so nothing is kept"
+    if name == "noise_ladder" and config.learner.num_envs == 1:
+        return "num_envs is 1, and the only environment would be without noise"
     return ""

@@ -51,7 +51,8 @@ def search(
     """Search, target by target, for commands that do better than a controller: what could be done at all.
 
     Offsets to the controller's own commands are searched for by the cross-entropy method, 48 plans a round. Goes on
-    where it was stopped. What it finds is a lower bound: a target may be reachable, or sooner, and not found to be.
+    where it was stopped. What it finds is a lower bound: a target may be reachable, or sooner, and not found to be;
+    under disturbances, an estimate of one.
 
     Args:
         policy: folder of a policy or a run, name of a shipped policy, or "jacobian" for the demonstrator.
@@ -107,6 +108,8 @@ def search(
         "episodes": episodes, "rounds": rounds, "missed": missed, "action_noise": action_noise,
         "base_noise": base_noise, "packet_loss": packet_loss,
     }  # fmt: skip
+    if action_noise or base_noise or packet_loss:
+        identity["told"] = "by tries drawn anew"  # once it was by those that chose, so such a search cannot go on
     rows = _claim(out, identity, targets.round(4), force)
     env = ReachVectorEnv(_COPIES, disturbances=disturbances, **common)
     try:
@@ -139,8 +142,7 @@ def _told(outcome: Outcome) -> str:
 
 
 def _summary(rows: list[_Row], most: int) -> dict[str, Any]:
-    """Means over targets, in all and over those that the controller reaches, and the targets nothing reaches."""
-    both = [row for row in rows if row.reached == 1]
+    """Means over targets, and the targets nothing reaches."""
     return {
         "reached": sum(row.reached for row in rows) / len(rows),
         "length": sum(row.length for row in rows) / len(rows),
@@ -148,7 +150,6 @@ def _summary(rows: list[_Row], most: int) -> dict[str, Any]:
         "best_length": sum(row.best_length for row in rows) / len(rows),
         "never": [row.episode for row in rows if row.best_reached == 0],
         "most_steps": most,
-        "sooner": 1 - sum(row.best_length for row in both) / sum(row.length for row in both) if both else None,
     }
 
 
@@ -192,10 +193,13 @@ def _claim(out: Path, identity: dict[str, Any], targets: NDArray[np.float64], fo
             rows = [_Row(int(line[0]), *line[1:]) for line in lines]
         except (OSError, ValueError, TypeError) as error:
             raise CdcsrError(f"{table} is damaged ({error}); delete it to have it made again.") from None
-        if [(row.episode, row.x, row.y, row.z) for row in rows] != [
-            (episode, *target) for episode, target in enumerate(targets[: len(rows)].tolist())
-        ]:
-            raise CdcsrError(f"{table} is of other targets; give another folder, or --force to start anew.")
+        for episode, row in enumerate(rows):
+            here = (row.x, row.y, row.z)
+            if episode == len(targets) or (row.episode, *here) != (episode, *targets[episode].tolist()):
+                raise CdcsrError(
+                    f"{table} is of other targets: line {episode + 2} is of target {row.episode} at {here}; give "
+                    "another folder, or --force to start anew."
+                )
         return rows
     write_json(path, identity)
     return []

@@ -76,7 +76,7 @@ class Run:
         self._check_memory(actions_per_episode(task.max_steps, config.frame_skip))
         refuse_unheeded(config)
         if config.learner.bfloat16 and not bfloat16_products():
-            print("This processor multiplies no faster in bfloat16; products stay in float32.", flush=True)
+            raise CdcsrError("bfloat16 must be off: this processor multiplies no faster in it.")
         self.reward: Reward = "sparse" if config.algorithm == "bc" else ALGORITHMS[config.algorithm].reward
         self.episodes = self._demonstrations()
         identity = {**config.identity(), "fingerprint": self.robot.fingerprint}

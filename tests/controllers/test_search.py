@@ -102,7 +102,7 @@ def test_what_is_found_is_hardly_worse_and_is_not_sought_where_it_is_not_wanted(
 
 def test_nearest_is_of_the_plant_and_not_what_a_lossy_link_shows() -> None:
     env = ReachVectorEnv(
-        2, max_steps=60, threshold=1e-9, autoreset_mode="Disabled", disturbances=Disturbances(0.0, 0.0, 1.0)
+        2, max_steps=200, threshold=1e-9, autoreset_mode="Disabled", disturbances=Disturbances(0.0, 0.0, 1.0)
     )
     observation, _ = env.reset(seed=0)
     targets, tips = env.targets.copy(), []
@@ -110,12 +110,14 @@ def test_nearest_is_of_the_plant_and_not_what_a_lossy_link_shows() -> None:
     class Watched(Slack):
         def act(self, env: ReachVectorEnv, observation: Array, active: NDArray[np.bool_]) -> Array:
             tips.append(env.simulation.state().tip_position.copy())
+            self.pull = 5.0 if len(tips) <= 60 else 0.0
             return super().act(env, observation, active)
 
-    result = rollout(Watched(5.0), env, observation)
+    result = rollout(Watched(), env, observation)
     assert np.ptp(result.observations[..., DISTANCE], axis=1).max() == 0  # nothing arrives
     far = np.linalg.norm(np.array([*tips[1:], env.simulation.state().tip_position]) - targets, axis=-1)
     np.testing.assert_allclose(result.nearest, far.min(0), rtol=1e-12)
+    assert (result.nearest < result.distance).any()
     env.close()
 
 
@@ -164,6 +166,14 @@ def test_where_one_plan_stands_out_that_plan_is_what_is_found(monkeypatch: pytes
 
     alone, best = _improve(monkeypatch, Landscape(length), 48, 2)
     assert (alone.length, best.length) == (100, 50)
+
+
+def test_where_the_controller_does_best_nothing_else_is_found(monkeypatch: pytest.MonkeyPatch) -> None:
+    def length(plan: Array, rng: np.random.Generator) -> float:  # noqa: ARG001
+        return 100 if not plan.any() else 200
+
+    alone, best = _improve(monkeypatch, Landscape(length), 12, 3)
+    assert (alone.length, best.length) == (100, 100)
 
 
 def test_what_is_told_is_not_the_luck_of_the_tries_that_chose_it(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-import dataclasses
 from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 import pytest
@@ -11,13 +12,15 @@ import torch
 from torch import Tensor
 from torch.nn import functional
 
-from training.algorithms import BATD3, TD3
-from training.config import Learner
+from cdcsr.errors import CdcsrError
+from training import trainer
+from training.algorithms import BATD3, CLASP, TD3
+from training.config import Train, learner_for
 from training.ensemble import Ensemble
 from training.precision import bfloat16_products, products
 from training.replay import Batch
 
-_WIDE = {"hidden": (64, 64), "batch_size": 64}
+Make = Callable[..., TD3]
 needs_bfloat16 = pytest.mark.skipif(not bfloat16_products(), reason="this processor has no use for bfloat16")
 
 
@@ -25,23 +28,34 @@ needs_bfloat16 = pytest.mark.skipif(not bfloat16_products(), reason="this proces
 def test_factors_are_rounded_once_and_sums_are_not() -> None:
     generator = torch.Generator().manual_seed(0)
     a, b = (torch.randn(256, 256, generator=generator) for _ in range(2))
-    with products(Learner(bfloat16=True)):
+    with products(bfloat16=True):
         found = torch.mm(a, b)
     expected = a.bfloat16().double() @ b.bfloat16().double()
     assert (found - expected).abs().max() < 1e-4  # rounded sums, of about 16, would be off by .06
     assert (torch.mm(a, b) - expected).abs().max() > 1e-2
 
 
+def test_every_processor_with_amx_is_known_to_have_it() -> None:
+    flags = Path("/proc/cpuinfo")
+    if not flags.is_file():
+        pytest.skip("nothing says what this processor has")
+    assert bfloat16_products() == ("amx_bf16" in flags.read_text())
+
+
 @pytest.mark.parametrize("bfloat16", [True, False])
 def test_precision_is_what_it_was_after_an_update_that_fails(bfloat16: bool) -> None:
     def fail() -> None:
-        with products(Learner(bfloat16=bfloat16)):
+        with products(bfloat16=bfloat16):
             raise RuntimeError
 
     before = torch.get_float32_matmul_precision()
-    with pytest.raises(RuntimeError):
-        fail()
-    assert torch.get_float32_matmul_precision() == before
+    torch.set_float32_matmul_precision("high")
+    try:
+        with pytest.raises(RuntimeError):
+            fail()
+        assert torch.get_float32_matmul_precision() == "high"
+    finally:
+        torch.set_float32_matmul_precision(before)
 
 
 def _round(x: Tensor) -> Tensor:
@@ -68,7 +82,7 @@ def test_critics_learn_from_rounded_factors_and_all_else_in_float32() -> None:
     torch.manual_seed(0)
     ensemble = Ensemble(40, (64, 64), 2, layer_norm=True)
     inputs, target = torch.randn(64, 40, generator=generator), torch.rand(64, generator=generator)
-    with products(Learner(bfloat16=True)):
+    with products(bfloat16=True):
         ensemble.regress(inputs, target)
     assert ensemble.rows.grad is not None
     found = ensemble.rows.grad.clone()
@@ -87,14 +101,26 @@ def test_critics_learn_from_rounded_factors_and_all_else_in_float32() -> None:
 
 
 @needs_bfloat16
-def test_only_updates_are_in_bfloat16(make: Callable[..., TD3], small_batch: Batch) -> None:
-    learners = [make(BATD3, **_WIDE, bfloat16=bfloat16) for bfloat16 in (False, True)]
-    seen = small_batch.observation.repeat(16, 1)
-    for learner in learners:
-        learner.actor.load_state_dict(learners[0].actor.state_dict())
-        learner.update(small_batch)
-        learner.actor.load_state_dict(learners[0].actor.state_dict())
-    with torch.no_grad():
-        a, b = (learner.actor(learner.actor.encoder(seen)) for learner in learners)
-    assert torch.equal(a, b)
-    assert dataclasses.asdict(Learner())["bfloat16"] is False
+@pytest.mark.parametrize("kind", [BATD3, CLASP])
+def test_the_switch_is_for_updates_and_for_them_only(kind: type[TD3], make: Make, small_batch: Batch) -> None:
+    batch = Batch(*(part.repeat(16, *[1] * (part.ndim - 1)) for part in small_batch))
+    fine, coarse = (make(kind, hidden=(64, 64), batch_size=64, bfloat16=bfloat16) for bfloat16 in (False, True))
+
+    def act(learner: TD3) -> Tensor:
+        with torch.no_grad():
+            return learner.actor(learner.actor.encoder(batch.observation))
+
+    before = act(fine)
+    value = fine.update(batch)["value"]
+    difference = coarse.update(batch)["value"] - value
+    assert 0 < difference.abs() < 0.01 * value.abs()
+    coarse.actor.load_state_dict(make(kind, hidden=(64, 64), batch_size=64).actor.state_dict())
+    assert torch.equal(act(coarse), before)
+
+
+def test_where_it_is_no_faster_the_switch_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(trainer, "bfloat16_products", lambda: False)
+    config = Train(tmp_path / "run", learner=replace(learner_for("batd3", "tuned"), bfloat16=True))
+    with pytest.raises(CdcsrError, match="bfloat16 must be off: this processor multiplies no faster in it"):
+        trainer.train(config)
+    assert not (tmp_path / "run").exists()

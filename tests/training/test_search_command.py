@@ -38,7 +38,7 @@ def test_the_command_goes_on_and_refuses_another_search(tmp_path: Path, capsys: 
     assert "holds another search (episodes)" in capsys.readouterr().err
     (whole / "targets.csv").write_text(lines[0] + lines[2])
     assert search(whole, 2) == 2
-    assert "is of other targets" in capsys.readouterr().err
+    assert "is of other targets: line 2 is of target 1 at (" in capsys.readouterr().err
     (whole / "targets.csv").write_text("episode,x\n0,north\n")
     assert search(whole, 2) == 2
     assert "damaged" in capsys.readouterr().err

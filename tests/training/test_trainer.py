@@ -229,7 +229,9 @@ def test_a_clone_refuses_what_is_for_practice_and_minds_no_sizes(tmp_path: Path,
     learner = dataclasses.replace(_SMALL, **switch)
     with pytest.raises(CdcsrError, match=f"{name} must be .* for bc, not .*: it is for methods that practise"):
         refuse_unheeded(Train(tmp_path, algorithm="bc", learner=learner))
-    refuse_unheeded(Train(tmp_path, algorithm="bc", learner=_SMALL))
+    for sizes in (_SMALL, PRESETS["tuned"], dataclasses.replace(PRESETS["tuned"], saturation_penalty=0.02)):
+        for preset in PRESETS:
+            refuse_unheeded(Train(tmp_path, algorithm="bc", preset=preset, learner=sizes))
 
 
 def test_every_run_of_the_study_heeds_what_is_changed_in_it() -> None:
@@ -253,6 +255,7 @@ def test_a_clone_does_not_practise() -> None:
         ({"kept_share": 0.5}, "kept_share must be 0 for td3"),
         ({"self_imitation": 1.0}, "self_imitation must be 0.0 for td3, not 1.0: it is read by clasp only"),
         ({"target_choice": "hard"}, "target_choice must be softmax for td3, not hard: it is read by batd3, "),
+        ({"noise_ladder": True, "num_envs": 1}, "noise_ladder must be False for td3, not True: num_envs is 1"),
         ({"keep_successes": True}, "keep_successes must be False for td3, not True: kept_share is 0"),
     ],
 )

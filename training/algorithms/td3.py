@@ -72,7 +72,7 @@ class TD3:
         Returns:
             Scalars worth logging.
         """
-        with products(self.learner):
+        with products(bfloat16=self.learner.bfloat16):
             return self._update(batch)
 
     def _update(self, batch: Batch) -> dict[str, Tensor]:

@@ -64,14 +64,18 @@ OURS_SWITCHES: tuple[tuple[tuple[str, Any], ...], ...] = (
     (("critics", 5),),
 )
 """What the ablation of our method changes in its learner, one change an entry."""
+ONLY_OURS = ("self_imitation", "scaled_values")
+"""What no other method heeds."""
 UNHURRIED: tuple[tuple[str, Any], ...] = (("hindsight", 1), ("self_imitation", 0.0))
 """Hindsight in place of self-imitation: slower at first, it ends in shorter episodes, though it misses more targets."""
 SYMMETRIC: tuple[tuple[str, Any], ...] = (("symmetry", True),)
 """The robot's mirror images made use of: for every method."""
 PRACTISED: tuple[tuple[str, Any], ...] = (("practice", 0.3),)
 """Practice past the space of training: for every method that practises."""
-GENERAL = (PRACTISED, (*PRACTISED, *SYMMETRIC), SYMMETRIC)
-"""What takes a policy, whatever the method, past the space it is trained in."""
+FASTER: tuple[tuple[str, Any], ...] = (("bfloat16", True),)
+"""Products of updates in bfloat16: for every method that practises."""
+GENERAL = (PRACTISED, (*PRACTISED, *SYMMETRIC), SYMMETRIC, FASTER)
+"""What is for any method, and no variant of ours."""
 HARDER = ("capture", "follow-random")
 """Tasks past a fly-by, where methods differ most; in Anchor."""
 HARDER_SWITCHES: tuple[tuple[tuple[str, Any], ...], ...] = (
@@ -228,13 +232,10 @@ def ours(budget: Budget) -> Iterator[Cell]:
 
 def harder(budget: Budget) -> Iterator[Cell]:
     """Capturing and following: ours with one part fewer or more, and BATD3 with all of our numbers that it heeds."""
-    from training.algorithms import ALGORITHMS  # it needs torch, which a list of runs need not wait for
-
-    only_ours = ALGORITHMS[OURS].heeds - ALGORITHMS["batd3"].heeds
     for seed in range(budget.seeds):
         for task in HARDER:
             lent = learner_for(OURS, "tuned", task).differences(learner_for("batd3", "tuned", task))
-            rival = tuple((name, value) for name, value in lent.items() if name not in only_ours)
+            rival = tuple((name, value) for name, value in lent.items() if name not in ONLY_OURS)
             for algorithm, switches in ((OURS, ()), ("batd3", rival), *((OURS, each) for each in HARDER_SWITCHES)):
                 yield _spec(budget, algorithm, "anchor", seed, task=task, switches=switches), ("nominal",)
 
@@ -244,7 +245,7 @@ def bfloat16(budget: Budget) -> Iterator[Cell]:
     for seed in range(budget.seeds):
         for space in SPACES:
             for algorithm in ("batd3", OURS):
-                for switches in ((("bfloat16", True),), ()):
+                for switches in (FASTER, ()):
                     yield _spec(budget, algorithm, space, seed, switches=switches), ("nominal",)
 
 

@@ -87,7 +87,7 @@ def counted(runs: Iterable[Run]) -> list[Run]:
 
 
 def generalization(runs: Sequence[Run]) -> Table:
-    """Table III: trained in one space, tested in another, in its engine; also with symmetry and practice."""
+    """Table III: trained in one space, tested in another, in its engine; also with what any method can be given."""
     chosen = [run for run in runs if run.setting.usual and run.setting.switches in ((), *_GENERAL)]
     chosen = [run for run in chosen if run.setting.algorithm != JACOBIAN]
     rows: list[list[Value]] = []
