@@ -253,7 +253,7 @@ def test_a_clone_does_not_practise() -> None:
         ({"capacity": 31}, "capacity must be at least 32, a batch and an episode"),
         ({"capacity": 25, "batch_size": 8}, "capacity must be at least 26"),
         ({"kept_share": 0.5}, "kept_share must be 0 for td3"),
-        ({"self_imitation": 1.0}, "self_imitation must be 0.0 for td3, not 1.0: it is read by clasp only"),
+        ({"self_imitation": 1.0}, "self_imitation must be 0.0 for td3, not 1.0: it is read by batd3, batd3-no-bc, "),
         ({"target_choice": "hard"}, "target_choice must be softmax for td3, not hard: it is read by batd3, "),
         ({"noise_ladder": True, "num_envs": 1}, "noise_ladder must be False for td3, not True: num_envs is 1"),
         ({"keep_successes": True}, "keep_successes must be False for td3, not True: kept_share is 0"),

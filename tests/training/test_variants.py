@@ -114,16 +114,19 @@ def test_batd3_may_be_held_to_the_clone_too(make: Make, small_batch: Batch) -> N
         assert batd3.actor_loss(encoded, small_batch).item() == pytest.approx(expected, rel=1e-5)
 
 
-def test_clasp_imitates_what_went_better_than_expected_by_how_much(make: Make, small_batch: Batch) -> None:
-    clasp = make(CLASP, critics=1, target_critics=1, self_imitation=3.0)
-    encoded = clasp.actor.encoder(small_batch.observation)
+@pytest.mark.parametrize(("kind", "critics"), [(CLASP, 1), (BATD3, 2)])
+def test_what_went_better_than_expected_is_imitated_by_how_much(
+    make: Make, small_batch: Batch, kind: type[TD3], critics: int
+) -> None:
+    learner = make(kind, critics=critics, target_critics=critics, self_imitation=3.0)
+    encoded = learner.actor.encoder(small_batch.observation)
     with torch.no_grad():
-        action = clasp.actor(encoded)
-        value = _values(clasp, encoded, action)[0]
+        action = learner.actor(encoded)
+        value = _values(learner, encoded, action).mean(0)
         batch = small_batch._replace(outcome=value + torch.tensor([0.5, -0.5, 0.25, 0.0]))
         distance = ((action - batch.action) ** 2).mean(1)
         expected = -value.mean().item() + 3.0 * (0.5 * distance[0] + 0.25 * distance[2]).item() / 4
-        assert clasp.actor_loss(encoded, batch).item() == pytest.approx(expected, rel=1e-5)
+        assert learner.actor_loss(encoded, batch).item() == pytest.approx(expected, rel=1e-5)
 
 
 def test_the_critic_that_judges_clasps_actor_is_drawn_anew(make: Make, small_batch: Batch) -> None:

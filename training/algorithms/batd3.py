@@ -7,7 +7,7 @@ from typing import ClassVar
 import torch
 from torch import Tensor
 
-from training.algorithms.td3 import ANCHORED, TD3
+from training.algorithms.td3 import IMITATING, TD3
 from training.replay import Batch
 
 
@@ -16,14 +16,14 @@ class BATD3(TD3):
 
     The replay buffer is pre-filled with the demonstrations and the clone's successful episodes. Every target
     draws its action from {the clone's, the target policy's} with probabilities softmax(rho Q') (eqs. 5 to 7).
-    Only the learned policy acts. With `clone_anchor`, which its presets leave off, the actor is held to the clone
-    as CLASP's is.
+    Only the learned policy acts. With `clone_anchor` and `self_imitation`, which its presets leave off, the actor is
+    held to the clone and to what went well as CLASP's is.
     """
 
     uses_demonstrations: ClassVar[bool] = True
     uses_clone: ClassVar[bool] = True
     uses_rollouts: ClassVar[bool] = True
-    heeds: ClassVar[frozenset[str]] = ANCHORED | {"softmax_temperature", "target_choice"}
+    heeds: ClassVar[frozenset[str]] = IMITATING | {"softmax_temperature", "target_choice"}
 
     def next_value(self, encoded: Tensor, batch: Batch) -> Tensor:
         """Eqs. (5) to (7). Both candidates are valued at once, so the one drawn needs no second evaluation."""
@@ -32,7 +32,9 @@ class BATD3(TD3):
         return torch.where(self._follow_clone(clone - policy), clone, policy)
 
     def policy_loss(self, encoded: Tensor, action: Tensor, batch: Batch) -> Tensor:
-        return super().policy_loss(encoded, action, batch) + self.anchor_loss(action, batch)
+        values = self.drawn_values(encoded, action)
+        loss = -values.mean() + self.anchor_loss(action, batch)
+        return loss + self.self_imitation_loss(action, batch, values.detach().mean(0))
 
     def _follow_clone(self, advantage: Tensor) -> Tensor:
         """Where a target takes the clone's action, by how much higher its value is, shape (B,)."""
@@ -48,7 +50,7 @@ class BATD3(TD3):
 class WithoutAssistance(BATD3):
     """BATD3 whose targets do not look at the clone, which only fills the replay buffer (section V-C)."""
 
-    heeds: ClassVar[frozenset[str]] = ANCHORED
+    heeds: ClassVar[frozenset[str]] = IMITATING
 
     def next_value(self, encoded: Tensor, batch: Batch) -> Tensor:
         return TD3.next_value(self, encoded, batch)

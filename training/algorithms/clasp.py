@@ -7,7 +7,7 @@ from typing import ClassVar
 import torch
 from torch import Tensor
 
-from training.algorithms.td3 import ANCHORED, TD3, distance
+from training.algorithms.td3 import IMITATING, TD3
 from training.replay import Batch
 
 
@@ -29,7 +29,7 @@ class CLASP(TD3):
     uses_demonstrations: ClassVar[bool] = True
     uses_clone: ClassVar[bool] = True
     uses_rollouts: ClassVar[bool] = True
-    heeds: ClassVar[frozenset[str]] = ANCHORED | {"self_imitation", "scaled_values"}
+    heeds: ClassVar[frozenset[str]] = IMITATING | {"scaled_values"}
 
     def policy_loss(self, encoded: Tensor, action: Tensor, batch: Batch) -> Tensor:
         learner = self.learner
@@ -39,8 +39,4 @@ class CLASP(TD3):
         loss = -value.mean()
         if learner.scaled_values:
             loss = loss / expected.abs().mean().clamp_min(1e-3)
-        loss = loss + self.anchor_loss(action, batch)
-        if learner.self_imitation > 0:
-            better = (batch.outcome - expected).clamp_min(0)
-            loss = loss + learner.self_imitation * (distance(action, batch.action) * better).mean()
-        return loss
+        return loss + self.anchor_loss(action, batch) + self.self_imitation_loss(action, batch, expected)

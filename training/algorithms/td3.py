@@ -20,8 +20,8 @@ from training.networks import Actor, Critics
 from training.precision import products
 from training.replay import Batch
 
-ANCHORED = frozenset({"clone_anchor", "anchor_updates", "anchor_floor"})
-"""The numbers of a learner whose actor is held to the clone."""
+IMITATING = frozenset({"clone_anchor", "anchor_updates", "anchor_floor", "self_imitation"})
+"""The numbers of a learner whose actor is held to the clone, and to what went well."""
 
 
 class TD3:
@@ -147,6 +147,19 @@ class TD3:
         left = max(0.0, 1 - self.updates / learner.anchor_updates)
         weight = learner.anchor_floor + left * (learner.clone_anchor - learner.anchor_floor)
         return weight * distance(action, batch.bc_action).mean() if weight > 0 else torch.zeros(())
+
+    def self_imitation_loss(self, action: Tensor, batch: Batch, expected: Tensor) -> Tensor:
+        """`self_imitation` (G - V)+ |pi(s) - a|^2 (Oh et al. 2018, eq. 2), G being the return that followed (s, a).
+
+        Args:
+            action: the actor's, shape (B, C).
+            batch: has a and G.
+            expected: V, what critics expect of the actor's action, shape (B,).
+        """
+        if self.learner.self_imitation == 0:
+            return torch.zeros(())
+        better = (batch.outcome - expected).clamp_min(0)
+        return self.learner.self_imitation * (distance(action, batch.action) * better).mean()
 
     def drawn_values(self, encoded: Tensor, action: Tensor) -> Tensor:
         """Values by Z critics drawn at random, shape (Z, B).
