@@ -23,7 +23,16 @@ from training.study.plants import sweeps
 from training.study.reachable import beside_demonstrator
 from training.study.records import load_study
 from training.study.statistics import Estimate
-from training.study.tables import comparison, generalization, halvings, robustness, tasks, transfer
+from training.study.tables import (
+    comparison,
+    generalization,
+    halvings,
+    own_ablation,
+    presets,
+    robustness,
+    tasks,
+    transfer,
+)  # fmt: skip
 from training.style import RUN_COLORS
 
 HEAD = ["backend", "space", "axis", "level", "episode", "success", "length", "distance"]
@@ -215,6 +224,29 @@ def test_no_two_variants_look_alike(study: Path) -> None:
     settings = [replace(setting, switches=(("critics", str(i)),)) for i in range(2 * len(RUN_COLORS))]
     looks = _looks({"Spatter": {one: [] for one in settings}}, counts=False)
     assert len(set(looks.values())) == len(settings)
+
+
+def test_what_is_put_back_to_the_papers_stands_beside_the_preset_and_is_no_variant(study: Path) -> None:
+    for name, switches in (
+        ("back", {"features": "state"}),
+        ("rate", {"learning_rate": 1e-4}),
+        ("other", {"critics": 3}),
+    ):
+        write_run(study, name, {"nominal": [nominal("1000")]}, switches=switches)
+    write_run(study, "spatter", {"nominal": [nominal("1", "spatter")]}, algorithm="clasp", space="spatter")
+    runs = load_study(study)
+    table = presets(runs)
+    found: list[dict[str, Any]] = [dict(zip(table.head, row, strict=True)) for row in table.rows]
+    names = [(row["space"], row["algorithm"], row["κ"].value) for row in found]
+    plain = find(comparison(runs), algorithm="BATD3", space="Anchor", preset="tuned")
+    assert names == [
+        ("Anchor", "BATD3", plain["κ"].value),
+        ("Anchor", "BATD3, features = state", 0.25),
+        ("Anchor", "BATD3, learning_rate = 0.0001", 0.25),
+    ]
+    variants_of = [row[1] for row in own_ablation(runs).rows]
+    assert "BATD3, critics = 3" in variants_of
+    assert not {name for _, name, _ in names} & set(variants_of)
 
 
 def test_beside_the_paper(study: Path) -> None:

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 from cdcsr.errors import CdcsrError, unknown_choice
-from training.config import PresetName, learner_for
+from training.config import PRESETS, PresetName, learner_for
 from training.study.spec import SCRIPTED, RunSpec
 
 
@@ -74,6 +74,9 @@ FASTER: tuple[tuple[str, Any], ...] = (("bfloat16", True),)
 """Products of updates in bfloat16: for every method that practises."""
 GENERAL = (PRACTISED, (*PRACTISED, *SYMMETRIC), SYMMETRIC, FASTER)
 """What is for any method, and no variant of ours."""
+_TUNED = PRESETS["tuned"].differences(PRESETS["paper"]).keys() - {"updates", "bc_updates", "bc_learning_rate"}
+PUT_BACK = tuple(((name, getattr(PRESETS["paper"], name)),) for name in sorted(_TUNED))
+"""What the preset `tuned` changes for practice, put back to the paper's, one number an entry."""
 HARDER = ("capture", "follow-random")
 """Tasks past a fly-by, where methods differ most; in Anchor."""
 HARDER_SWITCHES: tuple[tuple[tuple[str, Any], ...], ...] = (
@@ -240,6 +243,14 @@ def harder(budget: Budget) -> Iterator[Cell]:
                 yield _spec(budget, algorithm, "anchor", seed, task=task, switches=switches), ("nominal",)
 
 
+def preset(budget: Budget) -> Iterator[Cell]:
+    """Which number of the preset `tuned` does it: each put back to the paper's, for BATD3 in Spatter, TD3 in Anchor."""
+    for seed in range(budget.seeds):
+        for switches in ((), *PUT_BACK):
+            for algorithm, space in (("batd3", "spatter"), ("td3", "anchor")):
+                yield _spec(budget, algorithm, space, seed, switches=switches), ("nominal",)
+
+
 def bfloat16(budget: Budget) -> Iterator[Cell]:
     """Updates whose products are in bfloat16, and in float32 as everywhere else: BATD3 and ours in the three spaces."""
     for seed in range(budget.seeds):
@@ -278,6 +289,7 @@ EXPERIMENTS: dict[str, Experiment] = {
     "practice": practice,
     "ours": ours,
     "harder": harder,
+    "preset": preset,
     "bfloat16": bfloat16,
     "longer": longer,
     "paper-preset": paper_preset,
