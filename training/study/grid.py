@@ -223,10 +223,11 @@ def practice(budget: Budget) -> Iterator[Cell]:
 
 
 def ours(budget: Budget) -> Iterator[Cell]:
-    """Our method without each of its parts, and what else might take BATD3 further."""
+    """Our method without each of its parts, and what else might take BATD3 further: our numbers, another choice."""
     for seed in range(budget.seeds):
         for switches in ((), *OURS_SWITCHES):
             yield _spec(budget, OURS, "spatter", seed, switches=switches), ("nominal",)
+        yield _spec(budget, "batd3", "spatter", seed, switches=_lent("reach")), ("nominal",)
         for choice in CHOICES:
             yield _spec(budget, "batd3", "spatter", seed, switches=(("target_choice", choice),)), ("nominal",)
 
@@ -235,12 +236,17 @@ def harder(budget: Budget) -> Iterator[Cell]:
     """Capturing and following: ours with one part fewer or more, and BATD3 with our numbers."""
     for seed in range(budget.seeds):
         for task in HARDER:
-            ours = learner_for(OURS, "tuned", task).differences(learner_for("batd3", "tuned", task))
-            rivals = tuple(ours.items()), tuple(item for item in ours.items() if item[0] != "self_imitation")
+            lent = _lent(task)
+            rivals = lent, tuple(item for item in lent if item[0] != "self_imitation")
             for algorithm, switches in (
                 (OURS, ()), *(("batd3", each) for each in rivals), *((OURS, each) for each in HARDER_SWITCHES),
             ):  # fmt: skip
                 yield _spec(budget, algorithm, "anchor", seed, task=task, switches=switches), ("nominal",)
+
+
+def _lent(task: str) -> tuple[tuple[str, Any], ...]:
+    """Our numbers for a task, where they are not BATD3's."""
+    return tuple(learner_for(OURS, "tuned", task).differences(learner_for("batd3", "tuned", task)).items())
 
 
 def preset(budget: Budget) -> Iterator[Cell]:
