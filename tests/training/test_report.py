@@ -257,6 +257,8 @@ def test_beside_the_paper(study: Path) -> None:
         "`python -m training.experiments table2 --budget quick --only 'batd3-tuned_anchor_mujoco_d10_u1000_s*'`"
     )
     assert " fig4 " in find(two, algorithm="BATD3", space="Spatter")["command"]
+    other, *_ = beside_paper(load_study(study), {"fig5": ["batd3-tuned_spatter_mujoco_d10_u77_s0"]})
+    assert " fig5 " in find(other, algorithm="BATD3", space="Spatter")["command"]
     assert find(two, algorithm="TD3", space="Spatter")["ours κ"] is None
     assert find(three, trained_in="Anchor", tested_in="Floating")["ours κ"].value == 0.5
     assert (len(three.rows), len(four.rows)) == (6, 45)

@@ -122,6 +122,8 @@ def _rows(
         run = cell.runs[0]
         options = f"--budget {run.budget} " if run.budget else ""
         known = [name for name, names in expected.items() if run.name in names]
+        if not known:  # of another budget
+            known = [name for name, names in expected.items() if lengthless(run.name) in map(lengthless, names)]
         experiment = source[0] if source[0] in known or not known else known[0]
         command = f"`python -m training.experiments {experiment} {options}--only '{seedless(run.name)}'`"
         yield [*names, kappa, cell.success, length, cell.length, run.setting.preset, *cost(cell.runs), command]
@@ -129,6 +131,11 @@ def _rows(
         experiment, algorithm, space = source
         command = f"`python -m training.experiments {experiment} --only '{algorithm}-*_{space}_{ENGINE}_*'`"
         yield [*names, kappa, None, length, None, "-", *cost(None), command]
+
+
+def lengthless(name: str) -> str:
+    """A run's name as that of runs of any length."""
+    return re.sub(r"_u\d+", "_u*", name)
 
 
 def _provenance(runs: Sequence[Run]) -> str:
