@@ -70,10 +70,10 @@ def variants(runs: Iterable[Run]) -> list[Run]:
 
 def presets(runs: Sequence[Run]) -> Table:
     """What the preset `tuned` changes, one number after another put back to the paper's."""
-    put_back = [run for run in runs if run.setting.usual and run.setting.switches in _PUT_BACK]
-    put_back = [run for run in put_back if run.setting.algorithm != OURS]
-    where = {replace(run.setting, switches=()) for run in put_back}
-    chosen = [run for run in runs if run in put_back or run.setting in where]
+    put_back = {run.setting for run in runs if run.setting.usual and run.setting.switches in _PUT_BACK}
+    put_back = {setting for setting in put_back if setting.algorithm != OURS}
+    shown = put_back | {replace(setting, switches=()) for setting in put_back}
+    chosen = [run for run in runs if run.setting in shown]
     rows = [row for space in SPACES for row in _home_rows(chosen, space, ())]
     title = "The preset `tuned` with one number put back to the paper's"
     return Table("preset", title, basis(chosen), ("space", *TRAINED, *_RESULT, *COST), rows)
