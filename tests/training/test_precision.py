@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -35,11 +36,12 @@ def test_factors_are_rounded_once_and_sums_are_not() -> None:
     assert (torch.mm(a, b) - expected).abs().max() > 1e-2
 
 
+@pytest.mark.skipif("ONEDNN_MAX_CPU_ISA" in os.environ, reason="what the processor has may be forbidden")
 def test_every_processor_with_amx_is_known_to_have_it() -> None:
     flags = Path("/proc/cpuinfo")
-    if not flags.is_file():
-        pytest.skip("nothing says what this processor has")
-    assert bfloat16_products() == ("amx_bf16" in flags.read_text())
+    if not flags.is_file() or "amx_bf16" not in flags.read_text():
+        pytest.skip("this processor has no AMX")
+    assert bfloat16_products()
 
 
 @pytest.mark.parametrize("bfloat16", [True, False])

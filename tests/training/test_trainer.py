@@ -28,6 +28,7 @@ from training.evaluation import Result
 from training.heeded import refuse_unheeded
 from training.networks import Actor
 from training.policy import Policy, load_policy
+from training.precision import bfloat16_products
 from training.study.grid import BUDGETS, EXPERIMENTS, collect
 from training.trainer import Run, train
 
@@ -78,7 +79,11 @@ _EVERYTHING = dataclasses.replace(
         ("td3", {}),
         ("batd3", {}),
         ("td3", {"randomize": 1.0}),
-        ("batd3", {"learner": dataclasses.replace(_SMALL, hidden=(64, 64), batch_size=64, bfloat16=True)}),
+        pytest.param(
+            "batd3",
+            {"learner": dataclasses.replace(_SMALL, hidden=(64, 64), batch_size=64, bfloat16=True)},
+            marks=pytest.mark.skipif(not bfloat16_products(), reason="this processor has no use for bfloat16"),
+        ),
         ("clasp", {"learner": _EVERYTHING}),
         ("her", {"task": "capture-drift", "learner": dataclasses.replace(_SMALL, hindsight=1)}),
     ],
