@@ -7,16 +7,42 @@ what is heavy inside the functions, so that listing them stays quick.
 
 from __future__ import annotations
 
+import functools
+import os
 import sys
 from collections.abc import Callable, Sequence
 from importlib.metadata import EntryPoint, entry_points, version
-from typing import Any
+from typing import Any, ParamSpec
 
 from cdcsr.errors import CdcsrError, unknown_choice
 
 _GROUP = "cdcsr.commands"
 
 
+_P = ParamSpec("_P")
+
+
+def _may_go_unread(function: Callable[_P, int]) -> Callable[_P, int]:
+    """End quietly where whoever reads the output has seen enough, as `| head` has."""
+
+    @functools.wraps(function)
+    def call(*args: _P.args, **kwargs: _P.kwargs) -> int:
+        try:
+            code = function(*args, **kwargs)
+            sys.stdout.flush()
+        except BrokenPipeError:
+            try:
+                print(flush=True)
+            except BrokenPipeError:
+                os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())  # Python flushes once more as it ends
+                return 141
+            raise  # some other pipe
+        return code
+
+    return call
+
+
+@_may_go_unread
 def main(argv: Sequence[str] | None = None) -> int:
     """Run one sub-command.
 
@@ -24,7 +50,8 @@ def main(argv: Sequence[str] | None = None) -> int:
         argv: the arguments after `cdcsr`; by default those of this process.
 
     Returns:
-        The exit code: 0, or 1 if a check did not hold, or 2 for an error of the user's, or 130 if interrupted.
+        The exit code: 0, or 1 if a check did not hold, or 2 for an error of the user's, or 130 if interrupted, or
+        141 if nobody reads the output any longer.
     """
     arguments = list(sys.argv[1:] if argv is None else argv)
     commands = {point.name: point for point in entry_points(group=_GROUP)}
@@ -48,6 +75,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     return run(function, f"cdcsr {name}", rest)
 
 
+@_may_go_unread
 def run(function: Callable[..., Any], prog: str, argv: Sequence[str]) -> int:
     """Call a function with arguments from a command line, and turn its errors into one line and an exit code.
 

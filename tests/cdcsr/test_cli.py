@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import subprocess
 import sys
 import time
@@ -147,6 +148,23 @@ def test_arguments_that_do_not_fit_end_with_exit_code_2(argv: list[str], capsys:
     captured = capsys.readouterr()
     assert captured.out == ""
     assert captured.err
+
+
+@pytest.mark.parametrize("argv", [["--help"], ["build-model", "--help"]])
+def test_output_that_nobody_reads_is_no_error_to_talk_about(argv: list[str]) -> None:
+    reader, writer = os.pipe()
+    os.close(reader)
+    done = subprocess.run([SCRIPT, *argv], stdout=writer, stderr=subprocess.PIPE, check=False)
+    os.close(writer)
+    assert (done.returncode, done.stderr) == (141, b"")
+
+
+def test_another_pipe_that_breaks_is_not_hidden() -> None:
+    def lose_a_worker() -> None:
+        raise BrokenPipeError("of a worker")
+
+    with pytest.raises(BrokenPipeError, match="of a worker"):
+        cli.run(lose_a_worker, "double", [])
 
 
 def test_version(capsys: pytest.CaptureFixture[str]) -> None:

@@ -29,9 +29,11 @@ from training.study.tables import (
     halvings,
     own_ablation,
     presets,
+    raised,
     robustness,
     tasks,
     transfer,
+    variants,
 )  # fmt: skip
 from training.style import RUN_COLORS
 
@@ -247,6 +249,19 @@ def test_what_is_put_back_to_the_papers_stands_beside_the_preset_and_is_no_varia
     variants_of = [row[1] for row in own_ablation(runs).rows]
     assert "BATD3, critics = 3" in variants_of
     assert not {name for _, name, _ in names} & set(variants_of)
+
+
+def test_what_is_raised_to_tuned_stands_in_its_order_above_the_papers_preset(study: Path) -> None:
+    few, more = {"return_steps": 20}, {"features": "state+error", "num_envs": 64, "return_steps": 20}
+    for name, switches in (("more", more), ("few", few), ("none", {}), ("other", {"critics": 3})):
+        write_run(study, name, {"nominal": [nominal("1000")]}, preset="paper", switches=switches)
+    runs = load_study(study)
+    assert [row[1] for row in raised(runs).rows] == [
+        "BATD3",
+        "BATD3, return_steps = 20",
+        "BATD3, features = state+error, num_envs = 64, return_steps = 20",
+    ]
+    assert not any(run.setting.preset == "paper" for run in variants(runs))
 
 
 def test_beside_the_paper(study: Path) -> None:

@@ -77,6 +77,10 @@ GENERAL = (PRACTISED, (*PRACTISED, *SYMMETRIC), SYMMETRIC, FASTER)
 _TUNED = PRESETS["tuned"].differences(PRESETS["paper"]).keys() - {"updates", "bc_updates", "bc_learning_rate"}
 PUT_BACK = tuple(((name, getattr(PRESETS["paper"], name)),) for name in sorted(_TUNED))
 """What the preset `tuned` changes for practice, put back to the paper's, one number an entry."""
+_NEEDED = "return_steps", "num_envs", "features", "learning_rate"
+_RAISED = tuple((name, getattr(PRESETS["tuned"], name)) for name in _NEEDED)
+RAISED = (_RAISED[:1], _RAISED[1:2], _RAISED[:2], _RAISED[:3], _RAISED)
+"""What is taken over from it into the paper's preset: those numbers without which BATD3 fails, alone and together."""
 HARDER = ("capture", "follow-random")
 """Tasks past a fly-by, where methods differ most; in Anchor."""
 HARDER_SWITCHES: tuple[tuple[tuple[str, Any], ...], ...] = (
@@ -257,6 +261,13 @@ def preset(budget: Budget) -> Iterator[Cell]:
                 yield _spec(budget, algorithm, space, seed, switches=switches), ("nominal",)
 
 
+def raised(budget: Budget) -> Iterator[Cell]:
+    """How little makes BATD3 learn in Spatter: the paper's preset with one number of `tuned` after another."""
+    for seed in range(budget.seeds):
+        for switches in ((), *RAISED):
+            yield _spec(budget, "batd3", "spatter", seed, preset="paper", switches=switches), ("nominal",)
+
+
 def bfloat16(budget: Budget) -> Iterator[Cell]:
     """Updates whose products are in bfloat16, and in float32 as everywhere else: BATD3 and ours in the three spaces."""
     for seed in range(budget.seeds):
@@ -296,6 +307,7 @@ EXPERIMENTS: dict[str, Experiment] = {
     "ours": ours,
     "harder": harder,
     "preset": preset,
+    "raised": raised,
     "bfloat16": bfloat16,
     "longer": longer,
     "paper-preset": paper_preset,

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from training.plants import AXES, Axis
 from training.study.cells import COST, TRAINED, Cell, Table, Value, amount, cost, measure, trained
-from training.study.grid import ABLATIONS, AROUND, BACKENDS, COUNTS, GENERAL, OURS, PUT_BACK
+from training.study.grid import ABLATIONS, AROUND, BACKENDS, COUNTS, GENERAL, OURS, PUT_BACK, RAISED
 from training.study.paper import DISTURBANCES, TABLE_4
 from training.study.plants import sweeps
 from training.study.records import DEMONSTRATIONS, JACOBIAN, SPACES, Episodes, Run, at_home, grouped
@@ -27,9 +27,9 @@ ANYBODY = "any run"
 """Stands where an algorithm would, in the row of what at least one run reaches."""
 ALL_COUNTS = tuple(sorted((*COUNTS, DEMONSTRATIONS)))
 SIDES: tuple[Literal["below", "above"], ...] = ("below", "above")
-_GENERAL, _PUT_BACK = (
-    {tuple((name, str(value).lower()) for name, value in sorted(switches)) for switches in several}
-    for several in (GENERAL, PUT_BACK)
+_GENERAL, _PUT_BACK, _RAISED = (
+    [tuple((name, str(value).lower()) for name, value in sorted(switches)) for switches in several]
+    for several in (GENERAL, PUT_BACK, RAISED)
 )
 """As settings have them."""
 _RESULT = ("κ", "IQM of κ", "l_epi")
@@ -61,8 +61,8 @@ def variants(runs: Iterable[Run]) -> list[Run]:
     """Runs of our method, and of others with switches, in those spaces of the paper in which a variant was run."""
     own = [run for run in runs if run.setting.of_paper and (run.setting.algorithm == OURS or run.setting.switches)]
     own = [run for run in own if run.setting.demonstrations == DEMONSTRATIONS and not run.setting.randomize]
-    # What is for every method Table III has, and what is put back a table of its own.
-    own = [run for run in own if run.setting.switches not in _GENERAL]
+    # What is for every method Table III has, and what is put back or raised tables of their own.
+    own = [run for run in own if run.setting.switches not in _GENERAL and run.setting.preset != "paper"]
     own = [run for run in own if run.setting.algorithm == OURS or run.setting.switches not in _PUT_BACK]
     spaces = {run.setting.space for run in own if run.setting.switches}
     return [run for run in own if run.setting.space in spaces]
@@ -77,6 +77,19 @@ def presets(runs: Sequence[Run]) -> Table:
     rows = [row for space in SPACES for row in _home_rows(chosen, space, ())]
     title = "The preset `tuned` with one number put back to the paper's"
     return Table("preset", title, basis(chosen), ("space", *TRAINED, *_RESULT, *COST), rows)
+
+
+def raised(runs: Sequence[Run]) -> Table:
+    """The paper's preset with numbers of the preset `tuned`, few first."""
+    own = [run for run in runs if run.setting.usual and run.setting.preset == "paper"]
+    spaces = {run.setting.space for run in own if run.setting.switches in _RAISED}
+    chosen, rows = [], []
+    for space, switches in product((space for space in SPACES if space in spaces), ((), *_RAISED)):
+        some = [run for run in own if (run.setting.algorithm, run.setting.switches) == ("batd3", switches)]
+        chosen += at_home(some, space)
+        rows += _home_rows(at_home(some, space), space, ())
+    title = "The paper's preset with numbers of the preset `tuned`"
+    return Table("raised", title, basis(chosen), ("space", *TRAINED, *_RESULT, *COST), rows)
 
 
 def demonstrations(runs: Sequence[Run]) -> Table:
@@ -240,8 +253,8 @@ def halvings(runs: Sequence[Run]) -> Table:
 def all_tables(runs: Sequence[Run]) -> Iterator[Table]:
     """Every table of the study."""
     for table in (
-        comparison, ablation, own_ablation, presets, demonstrations, generalization, robustness, transfer, halvings,
-        tasks,
+        comparison, ablation, own_ablation, presets, raised, demonstrations, generalization, robustness, transfer,
+        halvings, tasks,
     ):  # fmt: skip
         yield table(runs)
 
