@@ -267,8 +267,9 @@ class Train:
         for name in ("clone_anchor", "anchor_floor", "self_imitation"):
             if not 0 <= getattr(learner, name) < math.inf:
                 raise CdcsrError(f"{name} must be finite and not negative, not {getattr(learner, name)}.")
-        if learner.practice and self.algorithm == "bc":
-            raise CdcsrError(f"practice must be 0 for bc, which does not practise, not {learner.practice}.")
+        for name, found in (("practice", learner.practice), ("randomize", self.randomize)):
+            if found and self.algorithm == "bc":
+                raise CdcsrError(f"{name} must be 0 for bc, which does not practise, not {found}.")
         if not 0 <= learner.practice < math.inf:
             raise CdcsrError(f"practice must be a distance in [m], or 0, not {learner.practice}.")
         if not 0 <= learner.kept_share < 1:

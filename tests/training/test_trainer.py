@@ -250,6 +250,8 @@ def test_every_run_of_the_study_heeds_what_is_changed_in_it() -> None:
 def test_a_clone_does_not_practise() -> None:
     with pytest.raises(CdcsrError, match="practice must be 0 for bc"):
         Train(out=Path("x"), algorithm="bc", learner=dataclasses.replace(_SMALL, practice=0.1))
+    with pytest.raises(CdcsrError, match="randomize must be 0 for bc"):
+        Train(out=Path("x"), algorithm="bc", randomize=1.0)
 
 
 @pytest.mark.parametrize(
