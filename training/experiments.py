@@ -101,14 +101,16 @@ def experiments(
 def _show(chosen: Sequence[str], wanted: list[Any], budget: Any, results: Path, named: bool) -> None:
     """Print the experiments, or the runs of those that were named."""
     from training.study.grid import collect, summary
+    from training.study.jobs import Job
 
-    state = {job.name: job.is_done(results) for job in wanted}
     for name in chosen:
-        cells = [run for run in collect([name], budget) if run in state]
-        print(f"{name:<13} {summary(name)} ({sum(state[run] for run in cells)} of {len(cells)} runs done)")
+        cells = collect([name], budget)
+        own = [Job(*cells[job.name], budget) for job in wanted if job.name in cells]
+        done = sum(job.is_done(results) for job in own)
+        print(f"{name:<13} {summary(name)} ({done} of {len(own)} runs done)")
     if named:
-        for run_name, done in state.items():
-            print(f"  {'done' if done else '-':<5} {run_name}")
+        for job in wanted:
+            print(f"  {'done' if job.is_done(results) else '-':<5} {job.name}")
 
 
 def main() -> int:

@@ -13,6 +13,7 @@ from cdcsr.errors import CdcsrError
 from cdcsr.files import new_folder, write_json, write_text
 
 if TYPE_CHECKING:
+    from training.study.page import Expected
     from training.study.records import Run
 
 PAGE = "README.md"
@@ -58,8 +59,8 @@ def report(
     print(f"{out / PAGE}: {len(runs)} runs, {len(paper) + len(tables)} tables, {len(figures)} figures")
 
 
-def _expected(runs: Sequence[Run]) -> dict[str, list[str]] | None:
-    """Names of the runs each experiment has in the budget that most runs have been made with; None if it is unknown."""
+def _expected(runs: Sequence[Run]) -> Expected | None:
+    """The runs each experiment has in the budget that most runs have been made with; None if it is unknown."""
     from training.study.grid import BUDGETS, expected
 
     (budget, _), *_ = Counter(one.budget for one in runs).most_common()

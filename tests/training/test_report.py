@@ -265,14 +265,16 @@ def test_what_is_raised_to_tuned_stands_in_its_order_above_the_papers_preset(stu
 
 
 def test_beside_the_paper(study: Path) -> None:
-    two, three, four = beside_paper(load_study(study), {"fig4": ["batd3-tuned_spatter_mujoco_d10_u1000_s0"]})
+    two, three, four = beside_paper(
+        load_study(study), {"fig4": {"batd3-tuned_spatter_mujoco_d10_u1000_s0": ("nominal",)}}
+    )
     row = find(two, algorithm="BATD3", space="Anchor")
     assert (row["paper κ"], row["seeds"]) == ("0.76", 3)
     assert row["command"] == (
         "`python -m training.experiments table2 --budget quick --only 'batd3-tuned_anchor_mujoco_d10_u1000_s*'`"
     )
     assert " fig4 " in find(two, algorithm="BATD3", space="Spatter")["command"]
-    other, *_ = beside_paper(load_study(study), {"fig5": ["batd3-tuned_spatter_mujoco_d10_u77_s0"]})
+    other, *_ = beside_paper(load_study(study), {"fig5": {"batd3-tuned_spatter_mujoco_d10_u77_s0": ("nominal",)}})
     assert " fig5 " in find(other, algorithm="BATD3", space="Spatter")["command"]
     assert find(two, algorithm="TD3", space="Spatter")["ours κ"] is None
     assert find(three, trained_in="Anchor", tested_in="Floating")["ours κ"].value == 0.5
@@ -291,17 +293,23 @@ def test_table_as_text_and_numbers() -> None:
 def test_report_is_whole_and_replaces_only_reports(
     study: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    expected = {"table2": ["batd3-tuned_spatter_mujoco_d10_u1000_s0", "her_s0", "her_s1"]}
+    there = "batd3-tuned_spatter_mujoco_d10_u1000_s0"
+    expected = {
+        "table2": {there: ("nominal",), "her_s0": ("nominal",), "her_s1": ("nominal",)},
+        "plants": {there: ("nominal", "plants", "follow")},
+    }
     monkeypatch.setattr("training.study.grid.expected", lambda budget: expected if budget.name == "quick" else {})
     out, data = tmp_path / "report", tmp_path / "report.json"
     report(results=study, out=out, json=data)
     text = (out / "README.md").read_text("utf-8")
     assert "| table2 | 1 of 3 | `her_s*` (2) |" in text
+    assert f"| plants | 0 of 1 | `{there.replace('s0', 's*')}`: plants, follow |" in text
     for file in out.glob("*.png"):
         assert f"({file.name})" in text
     assert (out / "fig3-tuned-mujoco.png").is_file()
-    assert json.loads(data.read_text("utf-8"))["not_run"] == {"table2": ["her_s0", "her_s1"]}
-    assert missing(load_study(study), expected) == {"table2": ["her_s0", "her_s1"]}
+    lacking = {"table2": {"her_s0": ["nominal"], "her_s1": ["nominal"]}, "plants": {there: ["plants", "follow"]}}
+    assert missing(load_study(study), expected) == lacking
+    assert json.loads(data.read_text("utf-8"))["not_run"] == lacking
     before = {file.name: file.read_bytes() for file in out.iterdir()}
     report(results=study, out=out)
     assert {file.name: file.read_bytes() for file in out.iterdir()} == before

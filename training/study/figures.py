@@ -16,9 +16,10 @@ from numpy.typing import NDArray
 
 from cdcsr.style import INK, SOFT
 from training.study.cells import amount, measure, who
-from training.study.grid import ABLATIONS, OURS
+from training.study.grid import ABLATIONS
 from training.study.records import JACOBIAN, SPACES, Run, Setting, grouped
 from training.study.statistics import band
+from training.study.switches import OURS
 from training.study.tables import COUNTED, counted, variants
 from training.style import RUN_COLORS, algorithm_title, drawn, engine_title, short_count
 

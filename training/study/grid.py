@@ -7,8 +7,22 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 from cdcsr.errors import CdcsrError, unknown_choice
-from training.config import PRESETS, PresetName, learner_for
+from training.config import PresetName
 from training.study.spec import SCRIPTED, RunSpec
+from training.study.switches import (
+    CHOICES,
+    FASTER,
+    HARDER_SWITCHES,
+    OURS,
+    OURS_SWITCHES,
+    PRACTISED,
+    PUT_BACK,
+    RAISED,
+    SYMMETRIC,
+    UNHURRIED,
+    lent,
+    lent_for_the_task,
+)
 
 
 @dataclass(frozen=True)
@@ -48,52 +62,10 @@ AROUND = "workspace"
 BACKENDS = ("mujoco", "pybullet")
 METHODS = ("batd3", "bc", "clasp", "td3wd", "rlpd", "rbl", "drldr", "td3", "her")
 """All of them, those that are compared most first."""
-OURS = "clasp"
-"""The name of our own method."""
-OURS_SWITCHES: tuple[tuple[tuple[str, Any], ...], ...] = (
-    (("clone_start", False),),
-    (("clone_anchor", 0.0),),
-    (("self_imitation", 0.0),),
-    (("anchor_updates", 4_000),),
-    (("hindsight", 1),),
-    (("discount", 1.0), ("step_cost", 0.004)),
-    (("final_learning_rate", 0.1),),
-    (("kept_share", 0.25), ("keep_successes", True)),
-    (("noise_ladder", True),),
-    (("clone_anchor", 2.0), ("scaled_values", True)),
-    (("critics", 5),),
-)
-"""What the ablation of our method changes in its learner, one change an entry."""
-UNHURRIED: tuple[tuple[str, Any], ...] = (("hindsight", 1), ("self_imitation", 0.0))
-"""Hindsight in place of self-imitation: slower at first, it ends in shorter episodes, though it misses more targets."""
-SYMMETRIC: tuple[tuple[str, Any], ...] = (("symmetry", True),)
-"""The robot's mirror images made use of: for every method."""
-PRACTISED: tuple[tuple[str, Any], ...] = (("practice", 0.3),)
-"""Practice past the space of training: for every method that practises."""
-FASTER: tuple[tuple[str, Any], ...] = (("bfloat16", True),)
-"""Products of updates in bfloat16: for every method that practises."""
-GENERAL = (PRACTISED, (*PRACTISED, *SYMMETRIC), SYMMETRIC, FASTER)
-"""What is for any method, and no variant of ours."""
-_TUNED = PRESETS["tuned"].differences(PRESETS["paper"]).keys() - {"updates", "bc_updates", "bc_learning_rate"}
-PUT_BACK = tuple(((name, getattr(PRESETS["paper"], name)),) for name in sorted(_TUNED))
-"""What the preset `tuned` changes for practice, put back to the paper's, one number an entry."""
-_NEEDED = "return_steps", "num_envs", "features", "learning_rate"
-_RAISED = tuple((name, getattr(PRESETS["tuned"], name)) for name in _NEEDED)
-RAISED = (_RAISED[:1], _RAISED[1:2], _RAISED[:2], _RAISED[:3], _RAISED)
-"""What is taken over from it into the paper's preset: those numbers without which BATD3 fails, alone and together."""
 HARDER = ("capture", "follow-random")
 """Tasks past a fly-by, where methods differ most; in Anchor."""
-HARDER_SWITCHES: tuple[tuple[tuple[str, Any], ...], ...] = (
-    (("clone_start", False),),
-    (("anchor_floor", 0.0), ("clone_anchor", 0.0)),
-    (("self_imitation", 0.0),),
-    (("noise_ladder", False),),
-    PRACTISED,
-    SYMMETRIC,
-)
-"""What is changed there in our method, one change an entry."""
-CHOICES = ("hard", "scaled")
-"""Other ways for BATD3's targets to choose between clone and policy."""
+MOVING = ("capture-drift", "capture-tumble")
+"""Capture of a target that is not at rest; in Anchor."""
 ABLATIONS = ("batd3", "batd3-no-bc", "batd3-no-prefill", "batd3-no-ensemble")
 COUNTS = (3, 5, 20)
 """Numbers of demonstrations, besides 10."""
@@ -189,7 +161,7 @@ def plants(budget: Budget) -> Iterator[Cell]:
 
 
 def tasks(budget: Budget) -> Iterator[Cell]:
-    """Beyond the paper: the whole workspace, a moving target, a finer threshold, a still base."""
+    """Beyond the paper: all around the arm, coming to rest on the target, a finer threshold, a still base."""
     for task, space in TASKS:
         yield _scripted(task=task, space=space), ("nominal",)
     for seed in range(budget.seeds):
@@ -231,26 +203,36 @@ def ours(budget: Budget) -> Iterator[Cell]:
     for seed in range(budget.seeds):
         for switches in ((), *OURS_SWITCHES):
             yield _spec(budget, OURS, "spatter", seed, switches=switches), ("nominal",)
-        yield _spec(budget, "batd3", "spatter", seed, switches=_lent("reach")), ("nominal",)
+        yield _spec(budget, "batd3", "spatter", seed, switches=lent("reach")), ("nominal",)
         for choice in CHOICES:
             yield _spec(budget, "batd3", "spatter", seed, switches=(("target_choice", choice),)), ("nominal",)
 
 
 def harder(budget: Budget) -> Iterator[Cell]:
-    """Capturing and following: ours with one part fewer or more, and BATD3 with our numbers."""
+    """Capturing and following: ours with one part fewer or more, and others with our numbers, or those for the task."""
     for seed in range(budget.seeds):
         for task in HARDER:
-            lent = _lent(task)
-            rivals = lent, tuple(item for item in lent if item[0] != "self_imitation")
-            for algorithm, switches in (
-                (OURS, ()), *(("batd3", each) for each in rivals), *((OURS, each) for each in HARDER_SWITCHES),
-            ):  # fmt: skip
+            all_lent, task_lent = lent(task), lent_for_the_task(task)
+            cells = [
+                (OURS, ()),
+                ("batd3", all_lent),
+                ("batd3", tuple(item for item in all_lent if item[0] != "self_imitation")),
+                ("batd3", task_lent),
+                ("td3wd", task_lent),
+                *((OURS, each) for each in HARDER_SWITCHES),
+            ]
+            for algorithm, switches in cells:
                 yield _spec(budget, algorithm, "anchor", seed, task=task, switches=switches), ("nominal",)
 
 
-def _lent(task: str) -> tuple[tuple[str, Any], ...]:
-    """Our numbers for a task, where they are not BATD3's."""
-    return tuple(learner_for(OURS, "tuned", task).differences(learner_for("batd3", "tuned", task)).items())
+def moving(budget: Budget) -> Iterator[Cell]:
+    """Capturing what drifts or tumbles."""
+    for task in MOVING:
+        yield _scripted(task=task), ("nominal",)
+    for seed in range(budget.seeds):
+        for algorithm in TASK_METHODS:
+            for task in MOVING:
+                yield _spec(budget, algorithm, "anchor", seed, task=task), ("nominal",)
 
 
 def preset(budget: Budget) -> Iterator[Cell]:
@@ -306,11 +288,12 @@ EXPERIMENTS: dict[str, Experiment] = {
     "practice": practice,
     "ours": ours,
     "harder": harder,
-    "preset": preset,
-    "raised": raised,
+    "moving": moving,
     "bfloat16": bfloat16,
     "longer": longer,
+    "preset": preset,
     "paper-preset": paper_preset,
+    "raised": raised,
 }
 
 
@@ -346,6 +329,8 @@ def collect(names: Sequence[str], budget: Budget) -> dict[str, Cell]:
     return dict(sorted(cells.items(), key=lambda item: item[1][0].seed))
 
 
-def expected(budget: Budget) -> dict[str, list[str]]:
-    """The names of all runs, for each experiment."""
-    return {name: list(collect([name], budget)) for name in EXPERIMENTS}
+def expected(budget: Budget) -> dict[str, dict[str, tuple[str, ...]]]:
+    """The names of all runs, for each experiment, with the evaluations of them that it needs."""
+    return {
+        name: {run: evaluations for run, (_, evaluations) in collect([name], budget).items()} for name in EXPERIMENTS
+    }

@@ -7,13 +7,15 @@ from collections.abc import Iterator, Mapping, Sequence
 
 from training.study.cells import COST, Cell, Table, Value, cost, measure
 from training.study.paper import DISTURBANCES, TABLE_2, TABLE_3, TABLE_4, Printed
-from training.study.records import SPACES, Run, at_home, grouped
+from training.study.records import FOLLOW, SPACES, Run, at_home, grouped
 from training.study.tables import basis, disturbed
 from training.style import algorithm_title
 
 TITLE = "# The study in numbers"
 ENGINE = "mujoco"
 """The paper's engine; only runs trained and tested in it stand beside the paper's."""
+Expected = Mapping[str, Mapping[str, Sequence[str]]]
+"""Of each experiment, its runs by name, and their evaluations that it needs."""
 _HEAD = ("paper κ", "ours κ", "paper l_epi", "ours l_epi", "preset", *COST, "command")
 
 _READING = """\
@@ -26,12 +28,12 @@ Every number is measured on held-out targets that nothing was tuned on; learning
 `not run` is what no finished run has measured."""
 
 
-def beside_paper(runs: Sequence[Run], expected: Mapping[str, Sequence[str]] | None) -> Iterator[Table]:
+def beside_paper(runs: Sequence[Run], expected: Expected | None) -> Iterator[Table]:
     """Tables II, III and IV of the paper, a row for each of its cells and each preset of ours.
 
     Args:
         runs: of the study.
-        expected: names of the runs of each experiment, to find the one that a run is from.
+        expected: the runs of each experiment, to find the one that a run is from.
     """
     chosen = [run for run in runs if run.setting.plain and run.setting.backend == ENGINE]
     expected = expected or {}
@@ -66,7 +68,7 @@ def page(
     paper: Sequence[Table],
     tables: Sequence[Table],
     figures: Sequence[tuple[str, str]],
-    expected: Mapping[str, Sequence[str]] | None,
+    expected: Expected | None,
 ) -> str:
     """The page, in Markdown.
 
@@ -75,7 +77,7 @@ def page(
         paper: tables that stand beside the paper's.
         tables: the others.
         figures: files and captions.
-        expected: names of the runs of each experiment, if the study declares them.
+        expected: the runs of each experiment, if the study declares them.
     """
     parts = [TITLE, _provenance(runs), _READING, "## Beside the paper"]
     parts += [_section(table) for table in paper]
@@ -87,10 +89,17 @@ def page(
     return "\n\n".join(parts) + "\n"
 
 
-def missing(runs: Sequence[Run], expected: Mapping[str, Sequence[str]]) -> dict[str, list[str]]:
-    """The names of runs that were expected and are not finished, by experiment."""
-    have = {run.name for run in runs}
-    return {experiment: [name for name in names if name not in have] for experiment, names in expected.items()}
+def missing(runs: Sequence[Run], expected: Expected) -> dict[str, dict[str, list[str]]]:
+    """What was expected and is not there, by experiment: the names of runs, with the evaluations that lack.
+
+    Of a run that is not finished all lack.
+    """
+    have = {run.name: {*run.evaluations, *([FOLLOW] if run.follow is not None else [])} for run in runs}
+    lacking = {
+        experiment: {name: [one for one in wanted if one not in have.get(name, ())] for name, wanted in names.items()}
+        for experiment, names in expected.items()
+    }
+    return {experiment: {name: lack for name, lack in names.items() if lack} for experiment, names in lacking.items()}
 
 
 def seedless(name: str) -> str:
@@ -112,7 +121,7 @@ def _rows(
     printed: Printed,
     cells: Sequence[Cell | None],
     source: tuple[str, str, str],
-    expected: Mapping[str, Sequence[str]],
+    expected: Expected,
 ) -> Iterator[list[Value]]:
     """A row for each of our cells; or one that says there is none."""
     printed_kappa, length = printed
@@ -155,15 +164,17 @@ def _provenance(runs: Sequence[Run]) -> str:
     return "\n".join(lines)
 
 
-def _missing(runs: Sequence[Run], expected: Mapping[str, Sequence[str]] | None) -> str:
+def _missing(runs: Sequence[Run], expected: Expected | None) -> str:
     if expected is None:
         return "It is not known with which budget the runs were made."
     lines = ["| experiment | finished | not run |", "| --- | --- | --- |"]
+    have = {run.name for run in runs}
     for experiment, names in missing(runs, expected).items():
         total = len(expected[experiment])
         seeds: dict[str, int] = {}
-        for name in names:
-            seeds[seedless(name)] = seeds.get(seedless(name), 0) + 1
-        what = ", ".join(f"`{name}`" + (f" ({count})" if count > 1 else "") for name, count in seeds.items())
-        lines.append(f"| {experiment} | {total - len(names)} of {total} | {what or '-'} |")
+        for name, lacking in names.items():
+            what = f"`{seedless(name)}`" + (f": {', '.join(lacking)}" if name in have else "")
+            seeds[what] = seeds.get(what, 0) + 1
+        said = "; ".join(what + (f" ({count})" if count > 1 else "") for what, count in seeds.items())
+        lines.append(f"| {experiment} | {total - len(names)} of {total} | {said or '-'} |")
     return "\n".join(lines)

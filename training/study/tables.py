@@ -12,11 +12,12 @@ from numpy.typing import NDArray
 
 from training.plants import AXES, Axis
 from training.study.cells import COST, TRAINED, Cell, Table, Value, amount, cost, measure, trained
-from training.study.grid import ABLATIONS, AROUND, BACKENDS, COUNTS, GENERAL, OURS, PUT_BACK, RAISED
+from training.study.grid import ABLATIONS, AROUND, BACKENDS, COUNTS
 from training.study.paper import DISTURBANCES, TABLE_4
 from training.study.plants import sweeps
 from training.study.records import DEMONSTRATIONS, JACOBIAN, SPACES, Episodes, Run, at_home, grouped
 from training.study.statistics import Sweep, disagreement, halving, rate
+from training.study.switches import GENERAL, OURS, PUT_BACK, RAISED
 from training.style import ENGINES, algorithm_title, engine_title
 
 COMPARED = ("bc", "batd3", OURS, "td3wd", "rbl", "td3", "her", "rlpd", "drldr", JACOBIAN)
