@@ -43,6 +43,8 @@ class Axis:
     """Levels below nominal, outwards."""
     build: Callable[[Robot, float], SecondPlant]
     """The plant at a level."""
+    idle: frozenset[str] = frozenset()
+    """Engines to which it means nothing: there is the same plant at all levels."""
 
     @property
     def title(self) -> str:
@@ -148,7 +150,7 @@ AXES: dict[str, Axis] = {
         Axis(
             "cable_softness",
             "recovery time and compliance of MuJoCo's own soft cables (PyBullet's cables do not stretch)",
-            "factor", (2.0, 4.0, 8.0, 16.0, 32.0, 64.0, 128.0), (), _softer,
+            "factor", (2.0, 4.0, 8.0, 16.0, 32.0, 64.0, 128.0), (), _softer, frozenset({"pybullet"}),
         ),
         Axis(
             "time_step", "the second plant's time step; a coarser one would change the control period",

@@ -29,6 +29,8 @@ def report(
         out: folder of the report; one that is there already is replaced.
         json: also write all tables to this file.
     """
+    from training.study.aggregate import aggregate
+    from training.study.engines import differences
     from training.study.figures import curve_figures
     from training.study.page import beside_paper, missing, page
     from training.study.plant_figures import follow_figures, plant_figures
@@ -43,7 +45,10 @@ def report(
     check_axes(runs)
     _refuse_other_folder(out)
     wanted = _expected(runs)
-    paper, tables = list(beside_paper(runs, wanted)), [*all_tables(runs), beside_demonstrator(runs)]
+    paper, tables = (
+        list(beside_paper(runs, wanted)),
+        [aggregate(runs), *all_tables(runs), differences(runs), beside_demonstrator(runs)],
+    )
     with new_folder(out, force=True) as folder:
         figures = [*curve_figures(runs, folder), *follow_figures(runs, folder), *plant_figures(runs, folder)]
         for table in (*paper, *tables):

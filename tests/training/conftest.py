@@ -8,6 +8,7 @@ from pathlib import Path
 
 import pytest
 import torch
+from small_study import small_study
 from tiny import FRAME_SKIP
 
 from cdcsr.robot import Robot, load_robot
@@ -58,3 +59,9 @@ def make(small_robot: Robot) -> Callable[..., TD3]:
         return kind(small_robot, learner, torch.Generator().manual_seed(0))
 
     return make
+
+
+@pytest.fixture
+def study(tmp_path: Path) -> Path:
+    """See :func:`small_study`."""
+    return small_study(tmp_path / "study")

@@ -181,8 +181,13 @@ def test_what_each_begins_with(tmp_path: Path, demonstrations: Path, algorithm: 
     assert (tmp_path / "run" / "clone").exists() == ALGORITHMS[algorithm].uses_clone
 
 
-def test_rlpd_and_the_paper_preset() -> None:
+def test_what_rlpd_and_her_have_of_their_own_and_the_paper_preset() -> None:
     rlpd = learner_for("rlpd", "paper")
     assert (rlpd.kept_share, rlpd.layer_norm, rlpd.updates_per_step) == (0.5, True, 20)
+    tuned = learner_for("rlpd", "tuned")
+    assert (tuned.kept_share, tuned.layer_norm) == (0.5, True)
+    assert tuned.updates_per_step > learner_for("td3", "tuned").updates_per_step
+    for preset in PRESETS:  # Andrychowicz et al. 2017: four targets in hindsight
+        assert learner_for("her", preset) == dataclasses.replace(learner_for("td3", preset), hindsight=4)
     assert learner_for("batd3", "paper") == PRESETS["paper"]
     assert learner_for("batd3-no-ensemble", "paper").critics == 2

@@ -16,7 +16,7 @@ def sweeps(runs: Sequence[Run], axis: str, engine: str, space: str) -> dict[str,
     """The sweeps of some seeds along one axis, in one engine and space, by the names of their runs.
 
     Where the file lacks the level that was trained on, it comes from the nominal evaluation. A level at which the
-    plant diverged has no rows, and is no level of the sweep.
+    plant diverged has no rows, and is no level of the sweep. An engine to which the axis means nothing has no sweep.
 
     Args:
         runs: any.
@@ -27,7 +27,9 @@ def sweeps(runs: Sequence[Run], axis: str, engine: str, space: str) -> dict[str,
     Raises:
         CdcsrError: the levels of a run have different episodes.
     """
-    found = {}
+    found: dict[str, Sweep] = {}
+    if engine in AXES[axis].idle:
+        return found
     for run in runs:
         if "plants" not in run.evaluations:
             continue

@@ -201,21 +201,25 @@ def read_episodes(path: Path) -> Episodes:
     """The episodes in a CSV file of an evaluation.
 
     Raises:
-        CdcsrError: a column is missing, or a cell is no number.
+        CdcsrError: a column is missing, a cell is not what it should be, or episodes are missing.
     """
     columns = _read_columns(
         path,
         {"backend": str, "space": str, "axis": str, "level": float, "episode": int, "success": float, "length": float},
     )
-    return Episodes(
-        columns["backend"],
-        columns["space"],
-        columns["axis"],
-        columns["level"],
-        columns["episode"],
-        columns["success"] > 0.5,
-        columns["length"],
-    )
+    if not np.isin(columns["success"], (0, 1)).all() or not (columns["length"] >= 0).all():
+        raise CdcsrError(f"{path} has a success that is not 0 or 1, or a length that is none; make it again.")
+    places = zip(*(columns[name].tolist() for name in ("backend", "space", "axis", "level")), strict=True)
+    cells: dict[tuple[Any, ...], list[int]] = {}
+    for cell, episode in zip(places, columns["episode"].tolist(), strict=True):
+        cells.setdefault(cell, []).append(episode)
+    most = max(map(len, cells.values()), default=0)
+    for cell, episodes in cells.items():
+        if sorted(episodes) != list(range(most)):
+            raise CdcsrError(
+                f"{path} should have episodes 0 to {most - 1} of {', '.join(map(str, cell))}; make it again."
+            )
+    return Episodes(**{**columns, "success": columns["success"] == 1})
 
 
 def read_follow(path: Path) -> Mapping[str, NDArray[Any]]:
@@ -230,15 +234,16 @@ def read_follow(path: Path) -> Mapping[str, NDArray[Any]]:
 
 
 def _read_columns(path: Path, kinds: Mapping[str, Callable[[str], Any]]) -> dict[str, NDArray[Any]]:
-    with path.open(newline="", encoding="utf-8") as file:
-        reader = csv.reader(file)
-        head = next(reader, [])
-        missing = [name for name in kinds if name not in head]
-        if missing:
-            raise CdcsrError(
-                f"{path} has no column {', '.join(missing)} (found: {', '.join(head) or 'nothing'}); make it again."
-            )
-        rows = list(reader)
+    try:
+        with path.open(newline="", encoding="utf-8") as file:
+            head, *rows = list(csv.reader(file)) or [[]]
+    except (UnicodeDecodeError, csv.Error) as error:
+        raise CdcsrError(f"{path} is no CSV file ({error}); make it again.") from None
+    missing = [name for name in kinds if name not in head]
+    if missing:
+        raise CdcsrError(
+            f"{path} has no column {', '.join(missing)} (found: {', '.join(head) or 'nothing'}); make it again."
+        )
     try:
         return {name: np.array([kind(row[head.index(name)]) for row in rows], dtype={str: np.str_}.get(kind))  # type: ignore[call-overload]
                 for name, kind in kinds.items()}  # fmt: skip

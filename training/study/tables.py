@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from training.plants import AXES, Axis
 from training.study.cells import COST, TRAINED, Cell, Table, Value, amount, cost, measure, trained
-from training.study.grid import ABLATIONS, AROUND, BACKENDS, COUNTS
+from training.study.grid import ABLATIONS, AROUND, COUNTS
 from training.study.paper import DISTURBANCES, TABLE_4
 from training.study.plants import sweeps
 from training.study.records import DEMONSTRATIONS, JACOBIAN, SPACES, Episodes, Run, at_home, grouped
@@ -154,7 +154,8 @@ def robustness(runs: Sequence[Run]) -> Table:
     columns = [name for title in SPACES.values() for name in (f"κ {title}", f"l_epi {title}")]
     note = basis(chosen) + (
         " Seeds are counted over the three spaces together. The rows `any run` count the targets that at least one of"
-        " the runs above them reaches under that disturbance: of any policy's loss that much is not its own."
+        " the runs above them reaches under that disturbance, their intervals are over targets: of any policy's loss"
+        " that much is not its own."
     )
     return Table("table4", "Table IV: robustness", note, ("what", "level", *TRAINED, *columns, *COST), rows)
 
@@ -197,21 +198,8 @@ def transfer(runs: Sequence[Run]) -> Table:
     head = ("space", *TRAINED, *_engine_heads(engines), *COST)
     note = (
         basis(chosen) + " Disagreements count the episodes of all seeds that succeed in one engine only, of how many."
-        f" {_in_all(runs)}"
     )
     return Table("transfer", "Transfer between engines", note, head, rows)
-
-
-def _in_all(runs: Sequence[Run]) -> str:
-    """How many episodes of the whole study were run in both engines on the described plant, and end differently."""
-    total, different = 0, 0
-    for run in runs:
-        for name in {"nominal", AROUND} & set(run.evaluations):
-            first, second = (run.evaluations[name].where(backend=engine) for engine in BACKENDS)
-            if len(first) == len(second):
-                total += len(first)
-                different += int((first.success != second.success).sum())
-    return f"Of {total} episodes of the study, run in both on the described plant, {different} end differently."
 
 
 def tasks(runs: Sequence[Run]) -> Table:
