@@ -38,6 +38,7 @@ def report(
     from training.study.reachable import beside_demonstrator
     from training.study.records import load_study
     from training.study.tables import all_tables
+    from training.study.variant_figures import variant_figures
 
     runs = load_study(results)
     if not runs:
@@ -50,7 +51,8 @@ def report(
         [aggregate(runs), *all_tables(runs), differences(runs), beside_demonstrator(runs)],
     )
     with new_folder(out, force=True) as folder:
-        figures = [*curve_figures(runs, folder), *follow_figures(runs, folder), *plant_figures(runs, folder)]
+        figures = [*curve_figures(runs, folder), *variant_figures(runs, folder)]
+        figures += [*follow_figures(runs, folder), *plant_figures(runs, folder)]
         for table in (*paper, *tables):
             write_text(folder / f"{table.name}.csv", table.csv())
         write_text(folder / PAGE, page(runs, paper, tables, figures, wanted))

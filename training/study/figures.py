@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
-from itertools import cycle
 from pathlib import Path
 
 import matplotlib
@@ -20,7 +19,7 @@ from training.study.grid import ABLATIONS
 from training.study.records import JACOBIAN, SPACES, Run, Setting, grouped
 from training.study.statistics import band
 from training.study.switches import OURS
-from training.study.tables import COUNTED, counted, variants
+from training.study.tables import COUNTED, counted
 from training.style import RUN_COLORS, algorithm_title, drawn, engine_title, short_count
 
 Array = NDArray[np.float64]
@@ -51,11 +50,10 @@ def curve_figures(runs: Sequence[Run], out: Path) -> Iterator[tuple[str, str]]:
     chosen: tuple[tuple[str, str, list[Run], Callable[[Setting], str]], ...] = (
         ("fig3", "Fig. 3: training", [run for run in plain if run.setting.algorithm not in ABLATIONS[1:]], _by_space),
         ("fig4", "Fig. 4: ablations of BATD3", [r for r in plain if r.setting.algorithm in ABLATIONS], _by_space),
-        ("ours", f"Variants of {algorithm_title(OURS)} and of BATD3", variants(runs), _by_space),
         ("fig5", "Fig. 5: number of demonstrations, Anchor Space", counted(runs), _by_algorithm),
     )
     for name, title, some, panel in chosen:
-        for (preset, engine, updates), part in sorted(_kinds(some).items()):
+        for (preset, engine, updates), part in sorted(by_kind(some).items()):
             varied = [(r.setting.algorithm, r.setting.switches, r.setting.demonstrations) for r in part]
             if (name != "fig3" or updates) and len({(one if name != "fig5" else one[2]) for one in varied}) < 2:
                 continue  # there is nothing to compare
@@ -115,15 +113,12 @@ def _draw(panels: Panels, path: Path, counts: bool) -> None:
     total = len(shown) + counts
     looks = _looks(panels, counts)
     rows = -(-len(looks) // min(5, 2 * total))  # of the legend
-    size = 3.1 * total + 0.5, 2.9 + 0.2 * rows
-    if rows > 3:  # long names, as of variants: the panels get their width
-        size = max(size[0], 7.5), size[1]
-    with drawn(path, size, "constrained") as figure:
+    with drawn(path, (3.1 * total + 0.5, 2.9 + 0.2 * rows), "constrained") as figure:
         grid = figure.subplots(1, total, sharey=True, squeeze=False)[0]
         for axes, (title, groups) in zip(grid, shown.items(), strict=False):
             axes.set(title=title, xlabel="updates")
             for setting, group in groups.items():
-                _curve(axes, setting, group, _label(setting, counts), *looks[_label(setting, counts)])
+                draw_curve(axes, setting, group, _label(setting, counts), *looks[_label(setting, counts)])
             axes.set_xlim(left=0)
             axes.xaxis.set_major_formatter(short_count)
             tidy(axes)
@@ -133,7 +128,8 @@ def _draw(panels: Panels, path: Path, counts: bool) -> None:
         legend(figure, min(5, 2 * total))
 
 
-def _curve(axes: Axes, setting: Setting, group: Sequence[Run], label: str, color: object, dashes: str) -> None:
+def draw_curve(axes: Axes, setting: Setting, group: Sequence[Run], label: str, color: object, dashes: str) -> None:
+    """The mean of seeds and its interval; a level line for what has no learning curve."""
     updates, curves = aligned(group)
     if len(updates):
         middle, low, high = band(curves)
@@ -169,10 +165,6 @@ def _looks(panels: Panels, counts: bool) -> dict[str, tuple[object, str]]:
         numbers = sorted({setting.demonstrations for setting in settings})
         shades = matplotlib.colormaps["viridis_r"](np.linspace(0.2, 0.95, len(numbers)))
         return {_count_label(number): (shade, "-") for number, shade in zip(numbers, shades, strict=True)}
-    labels = dict.fromkeys(_label(setting, counts) for setting in settings)
-    if any(setting.switches for setting in settings):
-        looks = cycle((color, dashes) for dashes in ("-", "--", ":") for color in RUN_COLORS)
-        return dict(zip(labels, looks, strict=False))
     return {
         _label(setting, counts): (COLORS.get(setting.algorithm, SOFT), "--" if setting.algorithm == "drldr" else "-")
         for setting in settings
@@ -195,7 +187,7 @@ def _by_algorithm(setting: Setting) -> str:
     return algorithm_title(setting.algorithm)
 
 
-def _kinds(runs: Sequence[Run]) -> dict[tuple[str, str, int], list[Run]]:
+def by_kind(runs: Sequence[Run]) -> dict[tuple[str, str, int], list[Run]]:
     """Runs of one figure: by preset, engine, and updates, which are 0 where they are as many as most have."""
     lengths = Counter((run.setting.preset, run.setting.backend, run.setting.updates) for run in runs)
     usual: dict[tuple[str, str], int] = {}

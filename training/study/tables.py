@@ -59,14 +59,13 @@ def own_ablation(runs: Sequence[Run]) -> Table:
 
 
 def variants(runs: Iterable[Run]) -> list[Run]:
-    """Runs of our method, and of others with switches, in those spaces of the paper in which a variant was run."""
-    own = [run for run in runs if run.setting.of_paper and (run.setting.algorithm == OURS or run.setting.switches)]
-    own = [run for run in own if run.setting.demonstrations == DEMONSTRATIONS and not run.setting.randomize]
-    # What is for every method Table III has, and what is put back or raised tables of their own.
-    own = [run for run in own if run.setting.switches not in _GENERAL and run.setting.preset != "paper"]
+    """Runs with switches in the paper's spaces, and those of the same algorithm there without."""
+    own = [run for run in runs if run.setting.usual and run.setting.preset == "tuned"]
+    # What is for every method Table III has; what is put back has a table of its own.
+    own = [run for run in own if run.setting.switches not in _GENERAL]
     own = [run for run in own if run.setting.algorithm == OURS or run.setting.switches not in _PUT_BACK]
-    spaces = {run.setting.space for run in own if run.setting.switches}
-    return [run for run in own if run.setting.space in spaces]
+    varied = {(run.setting.algorithm, run.setting.space) for run in own if run.setting.switches}
+    return [run for run in own if (run.setting.algorithm, run.setting.space) in varied]
 
 
 def presets(runs: Sequence[Run]) -> Table:
