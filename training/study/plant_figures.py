@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.ticker import FixedLocator, FuncFormatter, NullLocator
+from matplotlib.ticker import FixedLocator, FuncFormatter, MaxNLocator, NullLocator
 from numpy.typing import NDArray
 
 from cdcsr.style import SOFT
@@ -145,8 +145,12 @@ def _draw_sweeps(found: dict[str, dict[Setting, list[Sweep]]], path: Path) -> No
                 axes.plot(levels, counts[:, 0] / counts[:, 1], label=who(setting), **line)
             axes.set_xlabel(AXES[axis].title)
             axes.axvline(AXES[axis].nominal, color=SOFT, lw=0.8, ls=":")
-            if AXES[axis].nominal == 1:
+            if AXES[axis].unit == "factor":
                 _factors(axes)
+            elif AXES[axis].unit == "switch":
+                axes.set(xlim=(-0.3, 1.3), xticks=(0, 1), xticklabels=("matched", "its own"))
+            else:
+                axes.xaxis.set_major_locator(MaxNLocator(4, steps=(1, 2, 5, 10)))
             tidy(axes)
         legend(figure, min(4, columns + 1))
 
