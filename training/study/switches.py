@@ -41,8 +41,8 @@ PUT_BACK = tuple(((name, getattr(PRESETS["paper"], name)),) for name in sorted(_
 _NEEDED = "return_steps", "num_envs", "features", "learning_rate", "layer_norm", "clip_targets"
 _RAISED = tuple((name, getattr(PRESETS["tuned"], name)) for name in _NEEDED)
 RAISED = (_RAISED[:1], _RAISED[1:2], *(_RAISED[:i] for i in range(2, len(_RAISED) + 1)), (_RAISED[0], *_RAISED[2:]))
-"""What is taken over from it into the paper's preset: what BATD3 needs most, alone, then one more at a time; last all with the
-paper's one environment, so with its experience."""
+"""What is taken over from it into the paper's preset: what BATD3 needs most, alone, then one more at a time; last all
+with the paper's one environment, and so with its experience."""
 HARDER_SWITCHES: tuple[Switches, ...] = (
     (("clone_start", False),),
     (("anchor_floor", 0.0), ("clone_anchor", 0.0)),
