@@ -53,7 +53,7 @@ def test_comparison(study: Path) -> None:
     assert row["κ"].value == pytest.approx(2 / 3)
     assert (row["κ"].low, row["κ"].high) == pytest.approx((0.25, 1.0))
     assert (row["l_epi"].mean, row["l_epi"].std) == pytest.approx((150.0, 150 * (2 / 9) ** 0.5))
-    assert (row["seeds"], row["updates"], row["minutes"]) == (3, "1000", 2.0)
+    assert (row["seeds"], row["updates"], row["steps"], row["minutes"]) == (3, "1000", "64000", 2.0)
     spatter = find(table, space="Spatter", algorithm="BATD3")
     assert spatter["κ"].over == "episodes"
     assert find(table, space="Anchor", algorithm="RLPD")["κ"] is None
@@ -65,8 +65,9 @@ def test_seeds_of_other_settings_are_not_mixed_in(study: Path) -> None:
     for name, spec in {"longer": {"updates": 2000}, "fewer": {"demonstrations": 5}, "random": {"randomize": 1.0},
                        "switched": {"switches": {"critics": 5}}, "other": {"task": "quiet"}}.items():  # fmt: skip
         write_run(study, name, {"nominal": [nominal("0000")]}, **spec)
-    rows = [row for row in comparison(load_study(study)).rows if row[:2] == ["Anchor", "BATD3"]]
-    assert sorted(str(row[-3]) for row in rows) == ["1", "3"]  # the longer one stands by itself, the rest elsewhere
+    table = comparison(load_study(study))
+    seeds = [row[table.head.index("seeds")] for row in table.rows if row[:2] == ["Anchor", "BATD3"]]
+    assert sorted(map(str, seeds)) == ["1", "3"]  # the longer one stands by itself, the rest elsewhere
     assert [row[:3] for row in tasks(load_study(study)).rows] == [["quiet", "anchor", "BATD3"]]
 
 

@@ -108,17 +108,20 @@ def measure(runs: Sequence[Run], evaluation: str, engine: str | None = None, **w
     )
 
 
-COST = ("seeds", "updates", "minutes")
-"""Heads of what :func:`cost` gives."""
+COST = ("seeds", "updates", "steps", "minutes")
+"""Heads of what :func:`cost` gives; steps are the environments', all together."""
 
 
 def cost(runs: Sequence[Run] | None) -> list[Value]:
-    """How many seeds, the updates of each, and the mean wall-clock minutes of training of each."""
+    """How many seeds, the updates and environment steps of each, and their mean wall-clock minutes of training."""
     if not runs:
-        return [0, None, None]
-    updates = sorted({run.updates for run in runs})
-    return [len(runs), f"{updates[0]}" if len(updates) == 1 else f"{updates[0]} to {updates[-1]}",
-            round(float(np.mean([run.minutes for run in runs])), 1)]  # fmt: skip
+        return [0, None, None, None]
+    updates, steps = ([getattr(run, name) for run in runs] for name in ("updates", "environment_steps"))
+    return [len(runs), _range(updates), _range(steps), round(float(np.mean([run.minutes for run in runs])), 1)]
+
+
+def _range(numbers: Sequence[int]) -> str:
+    return f"{min(numbers)}" if min(numbers) == max(numbers) else f"{min(numbers)} to {max(numbers)}"
 
 
 def who(setting: Setting) -> str:
