@@ -165,8 +165,7 @@ TASK_OWN: dict[tuple[str, str], dict[str, Any]] = {
 }
 """What an algorithm has of its own in the preset `tuned` for a kind of task that is not reaching.
 
-The other methods keep the preset's numbers: with those of capture BATD3 did worse there (0.05, one seed, against
-0.52 and 0.19)."""
+The other methods keep the preset's numbers; what they do with these is measured in the experiment `harder`."""
 
 
 def learner_for(algorithm: str, preset: PresetName, task: str = "reach") -> Learner:
