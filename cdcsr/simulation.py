@@ -174,13 +174,16 @@ class Simulation(ABC):
         """Advance all copies by `substeps` time steps under one command.
 
         Raises:
-            CdcsrError: the command has another shape than (num, C).
+            CdcsrError: the command has another shape than (num, C), or a number in it is not finite.
             Diverged: a copy's numbers left the range in which they mean anything.
         """
         command = np.ascontiguousarray(command, dtype=float)
         expected = self.plant.servo_gain.shape
         if command.shape != expected:
             raise CdcsrError(f"Commands have the shape (num, cables) = {expected}, not {command.shape}.")
+        if not np.isfinite(command).all():  # an engine may take it for no command at all
+            copy = int(np.flatnonzero(~np.isfinite(command).all(axis=1))[0])
+            raise CdcsrError(f"Commands must be finite; that of copy {copy} is {command[copy].tolist()}.")
         if self._line.idle:
             self._step(command, substeps)
             return

@@ -138,6 +138,8 @@ def workspace(
 
     if out.suffix != ".npz":
         raise CdcsrError(f"A map is an .npz file, not {out.name!r}.")
+    if plot is not None and plot.suffix != ".png":
+        raise CdcsrError(f"The picture of a map is a .png file, not {plot.name!r}.")
     if not spacing > 0:
         raise CdcsrError(f"spacing must be positive, not {spacing:g}.")
     description = load_robot(robot)
@@ -191,6 +193,8 @@ def parity(
 
     if episodes < 1:
         raise CdcsrError(f"episodes must be at least 1, not {episodes}.")
+    if seed < 0:
+        raise CdcsrError(f"seed must not be negative, found {seed}.")
     description = load_robot(robot)
     engines = {reference: load_backend(reference)}
     others = backend_names() if backend == "all" else [backend]

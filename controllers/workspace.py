@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 from collections.abc import Callable
 from pathlib import Path
 
@@ -10,6 +11,7 @@ from numpy.typing import NDArray
 
 from cdcsr.envs import TaskVectorEnv
 from cdcsr.errors import CdcsrError
+from cdcsr.files import write_bytes
 from cdcsr.robot import Robot
 from cdcsr.workspaces import Workspace, cells_between
 from controllers.demonstrations import rollout
@@ -102,5 +104,6 @@ def draw_workspace(workspace: Workspace, robot: Robot, path: Path) -> None:
         figure.colorbar(image, ax=ax, label=f"cells along {'xyz'[along]}", shrink=0.8)
     cells = f"{len(workspace.cells)} cells reached"
     figure.suptitle(f"Workspace of {robot.name}: {cells}; the straight arm in black, the Anchor Space in red")
-    path.parent.mkdir(parents=True, exist_ok=True)
-    figure.savefig(path, dpi=110)
+    data = io.BytesIO()
+    figure.savefig(data, format="png", dpi=110)
+    write_bytes(path, data.getvalue())

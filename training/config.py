@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, field, fields, replace
 from pathlib import Path
 from typing import Any, Literal
 
-from cdcsr.errors import CdcsrError
+from training.ranges import refuse_out_of_range
 
 AlgorithmName = Literal[
     "bc", "td3", "her", "td3wd", "rbl", "rlpd", "drldr", "batd3", "batd3-no-bc", "batd3-no-prefill",
@@ -233,48 +232,7 @@ class Train:
     def __post_init__(self) -> None:
         if self.learner is _UNSET:
             object.__setattr__(self, "learner", learner_for(self.algorithm, self.preset, self.task))
-        learner = self.learner
-        if self.randomize:
-            from cdcsr.randomization import check_scale  # it knows robots, which `cdcsr --help` need not wait for
-
-            check_scale(self.randomize)
-        if not 1 <= learner.target_critics <= learner.critics:
-            raise CdcsrError(
-                f"target_critics must be between 1 and critics ({learner.critics}), not {learner.target_critics}."
-            )
-        counts = {
-            "num_demonstrations": self.num_demonstrations,
-            "evaluate_episodes": self.evaluate_episodes,
-            "batch_size": learner.batch_size,
-            "return_steps": learner.return_steps,
-            "policy_delay": learner.policy_delay,
-            "num_envs": learner.num_envs,
-            "noise_hold": learner.noise_hold,
-            "updates": learner.updates,
-            "bc_updates": learner.bc_updates,
-            "anchor_updates": learner.anchor_updates,
-            "updates_per_step": learner.updates_per_step,
-        }
-        for name, value in counts.items():
-            if value < 1:
-                raise CdcsrError(f"{name} must be at least 1, not {value}.")
-        if self.seed < 0:
-            raise CdcsrError(f"seed must not be negative, found {self.seed}.")
-        for name in ("learning_rate", "bc_learning_rate"):
-            if not getattr(learner, name) > 0:
-                raise CdcsrError(f"{name} must be positive, not {getattr(learner, name)}.")
-        for name in ("clone_anchor", "anchor_floor", "self_imitation"):
-            if not 0 <= getattr(learner, name) < math.inf:
-                raise CdcsrError(f"{name} must be finite and not negative, not {getattr(learner, name)}.")
-        for name, found in (("practice", learner.practice), ("randomize", self.randomize)):
-            if found and self.algorithm == "bc":
-                raise CdcsrError(f"{name} must be 0 for bc, which does not practise, not {found}.")
-        if not 0 <= learner.practice < math.inf:
-            raise CdcsrError(f"practice must be a distance in [m], or 0, not {learner.practice}.")
-        if not 0 <= learner.kept_share < 1:
-            raise CdcsrError(f"kept_share must lie in [0, 1), not {learner.kept_share}.")
-        if not 0 < learner.discount <= 1:
-            raise CdcsrError(f"discount must lie in (0, 1], not {learner.discount}.")
+        refuse_out_of_range(self)
 
     @classmethod
     def defaults(cls, argv: Sequence[str]) -> Train:

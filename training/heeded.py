@@ -37,6 +37,8 @@ def _unheeded(name: str, config: Train) -> str:
         return f"it is read by {', '.join(readers)} only"
     if config.algorithm == "bc" and name in _PRACTICE:
         return "it is for methods that practise"
+    if name == "clip_targets" and config.algorithm != "bc" and ALGORITHMS[config.algorithm].reward == "dense":
+        return "its reward is dense, and so are its values"
     if name == "keep_successes" and config.learner.kept_share == 0:
         return "kept_share is 0, so nothing is kept"
     if name == "noise_ladder" and config.learner.num_envs == 1:

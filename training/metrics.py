@@ -3,9 +3,13 @@
 from __future__ import annotations
 
 import csv
+import io
 import time
 from pathlib import Path
 from typing import TYPE_CHECKING
+
+from cdcsr.errors import CdcsrError
+from cdcsr.files import write_text
 
 if TYPE_CHECKING:
     from torch import Tensor
@@ -38,11 +42,12 @@ class Metrics:
         from torch.utils.tensorboard import SummaryWriter  # here, so that reading metrics needs no torch
 
         self._path = folder / "metrics.csv"
-        rows = [row for row in read_metrics(self._path) if row["update"] <= after] if after else []
-        with self._path.open("w", newline="", encoding="utf-8") as file:
-            writer = csv.DictWriter(file, COLUMNS)
-            writer.writeheader()
-            writer.writerows(rows)
+        kept = [row for row in _rows(self._path) if float(row["update"]) <= after] if after else []
+        text = io.StringIO(newline="")
+        writer = csv.DictWriter(text, COLUMNS)
+        writer.writeheader()
+        writer.writerows(kept)
+        write_text(self._path, text.getvalue())
         self._board = SummaryWriter(str(folder / "tensorboard"), purge_step=after + 1 if after else None)
 
     def add(self, row: dict[str, float]) -> None:
@@ -58,11 +63,26 @@ class Metrics:
 
 
 def read_metrics(path: Path) -> list[dict[str, float]]:
-    """The rows of a metrics file; empty cells are left out. No file, no rows."""
+    """The rows of a metrics file; empty cells are left out. No file, no rows.
+
+    Raises:
+        CdcsrError: it is damaged.
+    """
+    return [{key: float(value) for key, value in row.items() if value} for row in _rows(path)]
+
+
+def _rows(path: Path) -> list[dict[str, str]]:
+    """The same, as they are written."""
     if not path.is_file():
         return []
-    with path.open(newline="", encoding="utf-8") as file:
-        return [{key: float(value) for key, value in row.items() if value} for row in csv.DictReader(file)]
+    try:
+        with path.open(newline="", encoding="utf-8") as file:
+            rows = list(csv.DictReader(file))
+        for row in rows:
+            _ = float(row["update"]), [float(value) for value in row.values() if value]
+    except (OSError, ValueError, KeyError, TypeError, csv.Error) as error:
+        raise CdcsrError(f"{path} is damaged ({error}); delete it, and what it says of the past is lost.") from None
+    return rows
 
 
 class Meter:

@@ -8,7 +8,7 @@ from copy import copy
 from importlib import resources
 from importlib.metadata import version
 from pathlib import Path
-from typing import Any
+from typing import Any, get_args
 
 import numpy as np
 import torch
@@ -21,7 +21,7 @@ from cdcsr.errors import CdcsrError, unknown_choice
 from cdcsr.files import write_bytes, write_json
 from cdcsr.robot import Robot, parse_robot
 from controllers.controller import Controller
-from training.networks import Actor
+from training.networks import Activation, Actor
 
 Array = NDArray[np.float64]
 
@@ -136,6 +136,11 @@ def load_policy(folder: Path) -> Policy:
         actor = Actor(robot, bool(network["with_error"]), tuple(network["hidden"]), network["activation"], symmetry)
         actor.load_state_dict(load_file(folder / _WEIGHTS))
         centers = np.array(card["centers"], dtype=np.float64).reshape(-1, 3)
+        if not len(centers) or not np.isfinite(centers).all():
+            raise ValueError("centers must be the targets of its demonstrations")
+        if network["activation"] not in get_args(Activation):
+            raise ValueError(f"activation {network['activation']!r}")
+        _ = str(card["space"]), str(card["backend"])
         policy = Policy(actor, robot, centers, card)
         _ = policy.frame_skip
     except (OSError, ValueError, KeyError, TypeError, AttributeError, RuntimeError, SafetensorError) as error:

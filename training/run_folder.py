@@ -3,46 +3,73 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
 from cdcsr.errors import CdcsrError
 from cdcsr.files import write_json
 from training.config import Learner, Train
+from training.locks import lock
 
 CONFIG = "config.json"
 
 
-def claim_folder(folder: Path, identity: dict[str, Any], force: bool) -> None:
-    """Make the folder of a run, or make sure that the run in it is this one.
+@contextmanager
+def claim_folder(folder: Path, identity: dict[str, Any], force: bool) -> Iterator[None]:
+    """Make the folder of a run, or make sure that the run in it is this one, and keep other processes out.
 
     Args:
         folder: where.
         identity: plain data that must be the same for a run to be resumed.
-        force: take the folder of another run, whose results go.
+        force: take the folder of another run, whose results go. A folder that holds no run is nobody's to take.
 
     Raises:
         CdcsrError: the folder holds something else, or cannot be made.
+        Busy: another process is at this run.
     """
-    path = folder / CONFIG
-    if folder.exists() and not force:
-        if not path.is_file():
-            # What starts with a dot is a file that a run killed at its very start was still writing.
-            if any(not entry.name.startswith(".") for entry in folder.iterdir()):
-                raise CdcsrError(f"{folder} exists and is not a training run; give another folder.")
-        else:
-            refuse_other_run(path, identity)
-    if force:
-        for name in ("summary.json", "state.safetensors", "metrics.csv", "policy.json", "policy.safetensors"):
-            (folder / name).unlink(missing_ok=True)
-        for old in (folder / "tensorboard").glob("events.*"):
-            old.unlink()
-        (folder / "clone" / "policy.json").unlink(missing_ok=True)
+    _refuse(folder, identity, force)
     try:
         folder.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise CdcsrError(f"Cannot make the folder {folder}: {error.strerror}.") from None
-    write_json(path, identity)
+    with lock(folder / ".lock"):
+        _refuse(folder, identity, force)  # as whoever held it may have left it
+        if force:
+            for name in ("summary.json", "state.safetensors", "metrics.csv", "policy.json", "policy.safetensors"):
+                (folder / name).unlink(missing_ok=True)
+            for old in (folder / "tensorboard").glob("events.*"):
+                old.unlink()
+            (folder / "clone" / "policy.json").unlink(missing_ok=True)
+        write_json(folder / CONFIG, identity)
+        yield
+
+
+def _refuse(folder: Path, identity: dict[str, Any], force: bool) -> None:
+    """Make sure that a folder is new, or this run's, or, with `force`, a run's."""
+    if not folder.exists():
+        return
+    path = folder / CONFIG
+    # What starts with a dot is a file that a run killed at its very start was still writing.
+    if not folder.is_dir() or (not path.is_file() and any(not one.name.startswith(".") for one in folder.iterdir())):
+        raise CdcsrError(f"{folder} exists and is not a training run; give another folder.")
+    if path.is_file():
+        found = _read(path)
+        if not {"algorithm", "learner"} <= found.keys():
+            raise CdcsrError(f"{path} is not of a training run; give another folder.")
+        if not force:
+            refuse_other_run(path, identity)
+
+
+def _read(path: Path) -> dict[str, Any]:
+    try:
+        found = json.loads(path.read_text("utf-8"))
+    except (OSError, ValueError) as error:
+        raise CdcsrError(f"{path} cannot be read ({error}); give another folder.") from None
+    if not isinstance(found, dict):
+        raise CdcsrError(f"{path} is not of a training run; give another folder.")
+    return found
 
 
 def refuse_other_run(path: Path, identity: dict[str, Any]) -> None:
@@ -51,10 +78,7 @@ def refuse_other_run(path: Path, identity: dict[str, Any]) -> None:
     Raises:
         CdcsrError: it has another, or the file cannot be read.
     """
-    try:
-        found = json.loads(path.read_text("utf-8"))
-    except (OSError, ValueError) as error:
-        raise CdcsrError(f"{path} cannot be read ({error}); give another folder, or --force.") from None
+    found = _read(path)
     # An option younger than the run had the value then that is its default now.
     flat_found, flat_asked = {**_flat(Train(path, learner=Learner()).identity()), **_flat(found)}, _flat(identity)
     if flat_found != flat_asked:

@@ -43,6 +43,7 @@ from training.precision import bfloat16_products
 from training.run_folder import claim_folder
 
 Array = NDArray[np.float64]
+_STATE = "state.safetensors"
 
 
 def train(config: Train) -> Policy:
@@ -53,10 +54,12 @@ def train(config: Train) -> Policy:
 
     Raises:
         CdcsrError: the options do not fit together, or the folder holds another run.
+        Busy: another process is at this run.
     """
     torch.set_num_threads(1)  # small matrices on several threads are slower; run seeds side by side instead
     run = Run(config)
-    return run.carry_out()
+    with claim_folder(run.folder, run.identity, config.force):
+        return run.carry_out()
 
 
 class Run:
@@ -82,7 +85,7 @@ class Run:
         identity = {**config.identity(), "fingerprint": self.robot.fingerprint}
         if config.demonstrations is not None:
             identity["dataset"] = demonstrations.digest(self.episodes)  # another one may have come under the same name
-        claim_folder(self.folder, identity, config.force)
+        self.identity = identity
         self.centers = np.array([episode.target for episode in self.episodes])
         self.started = time.monotonic()
         self.minutes_before = 0.0
@@ -91,6 +94,7 @@ class Run:
     def carry_out(self) -> Policy:
         """All of it; returns the trained policy."""
         if (self.folder / "summary.json").exists():
+            (self.folder / _STATE).unlink(missing_ok=True)  # if it was killed in between
             print(f"{self.folder} is a finished run; give --force to start anew.")
             if self.config.json is not None:
                 write_bytes(self.config.json, (self.folder / "summary.json").read_bytes())
@@ -206,7 +210,7 @@ class Run:
             env.space = beyond(env.space, learner.practice, self.robot)
         collector = Collector(env, exploration_noise(learner), learner.noise_hold, streams[0])
         memory = Memory(self.robot, learner, None if clone is None else clone.actions, env.task)
-        state_path = self.folder / "state.safetensors"
+        state_path = self.folder / _STATE
         counters: dict[str, Any] = {"update": 0, "environment_steps": 0, "minutes": 0.0, "recent": []}
         collector.start(config.seed)
         generators = {"noise": streams[0], "sample": streams[1], "hindsight": streams[2]}

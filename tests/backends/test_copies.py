@@ -83,3 +83,13 @@ def test_substeps_are_steps_under_one_command(paper: Robot, engine: str) -> None
     with running(paper, engine, 2) as at_once, running(paper, engine, 2) as one_by_one:
         at_once.step(command, 7)
         same(at_once.state(), advance(one_by_one, np.array([command] * 7)), engine)
+
+
+def test_commands_that_are_no_numbers_are_refused(paper: Robot, engine: str) -> None:
+    with running(paper, engine, 2) as simulation:
+        before = simulation.state()
+        commands = np.full((2, paper.num_cables), -0.01)
+        commands[1, 3] = np.nan
+        with pytest.raises(CdcsrError, match="Commands must be finite; that of copy 1"):
+            simulation.step(commands)
+        same(simulation.state(), before, "mujoco")

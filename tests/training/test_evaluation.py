@@ -95,6 +95,13 @@ def test_no_episodes_is_an_error() -> None:
         evaluate(Still(), robot, "mujoco", "anchor", episodes=1, seed=-1)
 
 
+def test_spaces_surround_the_centers_that_are_given() -> None:
+    robot, far = load_robot("paper"), np.array([[0.0, 0.0, 9.0]])
+    nearest = evaluate(Still(), robot, "mujoco", "floating", 3, frame_skip=50, centers=far).distance
+    assert (nearest > 5).all()
+    assert (evaluate(Still(), robot, "mujoco", "floating", 3, frame_skip=50).distance < 1).all()
+
+
 def _cell(backend: str, success: list[bool]) -> Cell:
     done = np.array(success)
     result = Result(done, np.where(done, 100, 250), np.zeros(len(done)), np.zeros((len(done), 3)))

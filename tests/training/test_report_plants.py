@@ -33,6 +33,7 @@ def test_where_engines_differ_is_counted_by_what_is_wrong_with_the_plant(tmp_pat
     assert found["as described"] == [1, 4, 2, 1, 1, "`one`, anchor, 1, 2"]  # floating was not run in PyBullet
     assert found["link mass [factor]"] == [1, 2, 1, 1, 0, "-"]  # at 2: at 1 it is as described, at 3 in one engine
     assert found["engine defaults"] == [1, 2, 2, 1, 1, "-"]
+    assert "cable softness [factor]" not in found  # PyBullet's cables have none: the plants would differ
 
 
 def test_what_means_nothing_to_an_engine_is_no_sweep_of_it(tmp_path: Path) -> None:

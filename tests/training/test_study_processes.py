@@ -16,11 +16,11 @@ from pathlib import Path
 import pytest
 from tiny import TINY_BUDGET, is_held, tiny_job
 
+from training.locks import lock
 from training.study import local
 from training.study.evaluations import EPISODE_COLUMNS, FOLLOW_COLUMNS
 from training.study.jobs import Job, environment
 from training.study.local import Outcome, carry_out_here
-from training.study.locks import lock
 from training.study.spec import SCRIPTED, RunSpec
 
 

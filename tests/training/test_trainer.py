@@ -78,7 +78,8 @@ _EVERYTHING = dataclasses.replace(
     [
         ("td3", {}),
         ("batd3", {}),
-        ("td3", {"randomize": 1.0}),
+        # Long enough for plants that are drawn after the stop to be learned from.
+        ("td3", {"randomize": 1.0, "learner": dataclasses.replace(_SMALL, updates=120)}),
         pytest.param(
             "batd3",
             {"learner": dataclasses.replace(_SMALL, hidden=(64, 64), batch_size=64, bfloat16=True)},
@@ -175,18 +176,40 @@ def test_demonstrations_of_another_robot_are_refused(tmp_path: Path, demonstrati
 @pytest.mark.parametrize(
     ("numbers", "message"),
     [
-        ({"clone_anchor": -3.0}, "clone_anchor must be finite and not negative"),
+        ({"clone_anchor": -3.0}, "clone_anchor must not be negative"),
         ({"target_critics": 3}, "target_critics must be between 1 and critics"),
         ({"batch_size": 0}, "batch_size must be at least 1"),
         ({"discount": 1.5}, "discount must lie in"),
         ({"learning_rate": -1.0}, "learning_rate must be positive"),
         ({"practice": -0.1}, "practice must be a distance"),
         ({"practice": float("nan")}, "practice must be a distance"),
+        ({"exploration_noise": float("nan")}, "exploration_noise must be finite"),
+        ({"learning_rate": float("inf")}, "learning_rate must be finite"),
+        ({"noise_clip": -1.0}, "noise_clip must not be negative"),
+        ({"hindsight": -2}, "hindsight must not be negative"),
+        ({"soft_update": -3.0}, r"soft_update must lie in \(0, 1\]"),
+        ({"final_learning_rate": -3.0}, "final_learning_rate must lie in"),
+        ({"bc_rollouts": -3}, "bc_rollouts must be at least 1"),
+        ({"hidden": ()}, "hidden must be the width of at least one layer"),
+        ({"hidden": (16, 0)}, "hidden must be the width of at least one layer"),
     ],
 )
 def test_impossible_numbers_are_refused(numbers: dict[str, float], message: str) -> None:
     with pytest.raises(CdcsrError, match=message):
         Train(out=Path("x"), learner=dataclasses.replace(_SMALL, **numbers))  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"seed": 2**64}, "seed must be below"),
+        ({"evaluate_every": -7}, "evaluate_every must not be negative"),
+        ({"stop_after": float("nan")}, "stop_after must be a number of minutes"),
+    ],
+)
+def test_impossible_options_are_refused(options: dict[str, Any], message: str) -> None:
+    with pytest.raises(CdcsrError, match=message):
+        Train(out=Path("x"), learner=_SMALL, **options)
 
 
 def test_practice_is_past_the_space_and_measured_within_it(

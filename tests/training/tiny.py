@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 from pathlib import Path
 
-from training.study import locks
+from training import locks
 from training.study.grid import Budget
 from training.study.jobs import Job
 from training.study.spec import RunSpec

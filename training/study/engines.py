@@ -24,7 +24,7 @@ def differences(runs: Sequence[Run]) -> Table:
         for axis, pair in _pairs(run):
             found.setdefault(axis, []).append((run, *pair))
     rows: list[list[Value]] = []
-    for axis in (DESCRIBED, *AXES):
+    for axis in (DESCRIBED, *(name for name, axis in AXES.items() if not axis.idle & {*BACKENDS})):
         pairs = found.get(axis, [])
         counts = sum((np.array(disagreement(one.success, two.success)) for _, one, two in pairs), np.zeros(2, int))
         which = filter(None, [_which(*pair) for pair in pairs if axis == DESCRIBED])
@@ -36,7 +36,8 @@ def differences(runs: Sequence[Run]) -> Table:
     note = (
         "Episodes of one policy on one target and plant, run in both engines, whatever the method, space, task or"
         " engine of training; those on changed plants at all levels that both could simulate, without the level"
-        " trained on. Last, on the described plant, which they are: run, space, target."
+        " trained on; what means nothing to one of them (the softness of cables) is left out. Last, on the described"
+        " plant, which they are: run, space, target."
     )
     head = ("plant", "runs", "episodes in both", "end differently", *only, "which")
     return Table("engines", "Where the engines differ", note, head, rows)
@@ -44,7 +45,7 @@ def differences(runs: Sequence[Run]) -> Table:
 
 def _pairs(run: Run) -> Iterator[tuple[str, tuple[Episodes, Episodes]]]:
     """The same episodes in both engines, with the axis of the plant along which they are."""
-    for name in {"nominal", AROUND, "plants"} & run.evaluations.keys():
+    for name in sorted({"nominal", AROUND, "plants"} & run.evaluations.keys()):
         rows = run.evaluations[name]
         cells = sorted(set(zip(rows.space.tolist(), rows.axis.tolist(), rows.level.tolist(), strict=True)))
         for space, axis, level in cells:

@@ -19,8 +19,8 @@ from cdcsr.cli import run
 from cdcsr.errors import CdcsrError, unknown_choice
 from cdcsr.files import write_bytes, write_json
 from training.config import AlgorithmName, Learner
+from training.locks import lock
 from training.study.grid import Budget
-from training.study.locks import lock
 from training.study.spec import RunSpec
 
 RECORD = "run.json"

@@ -11,8 +11,8 @@ from pathlib import Path
 from typing import IO
 
 from cdcsr.errors import CdcsrError
+from training.locks import Busy
 from training.study.jobs import Job, environment
-from training.study.locks import Busy
 
 POLL = 0.2
 """Seconds between two looks at the processes."""
@@ -81,7 +81,10 @@ def carry_out_here(jobs: Sequence[Job], runs: Path, results: Path, slots: int) -
     """
     if slots < 1:
         raise CdcsrError(f"jobs must be at least 1, not {slots}.")
-    runs.mkdir(parents=True, exist_ok=True)
+    try:
+        runs.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise CdcsrError(f"Cannot make the folder {runs}: {error.strerror}.") from None
     outcome, progress = Outcome(), Progress(jobs, slots)
     waiting, busy = deque(jobs), deque[tuple[float, Job]]()
     running: list[_Running] = []

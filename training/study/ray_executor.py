@@ -10,9 +10,9 @@ from pathlib import Path
 from typing import Any
 
 from cdcsr.errors import CdcsrError
+from training.locks import STALE_AFTER, Busy
 from training.study.jobs import Job, environment
 from training.study.local import Outcome, Progress, duration, failure, log_path
-from training.study.locks import STALE_AFTER, Busy
 
 RETRIES = 10
 """How often a job is given to another node when the one it ran on is lost."""

@@ -237,7 +237,7 @@ def _read_columns(path: Path, kinds: Mapping[str, Callable[[str], Any]]) -> dict
     try:
         with path.open(newline="", encoding="utf-8") as file:
             head, *rows = list(csv.reader(file)) or [[]]
-    except (UnicodeDecodeError, csv.Error) as error:
+    except (OSError, UnicodeDecodeError, csv.Error) as error:
         raise CdcsrError(f"{path} is no CSV file ({error}); make it again.") from None
     missing = [name for name in kinds if name not in head]
     if missing:
