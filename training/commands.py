@@ -142,7 +142,7 @@ def _report(
     from cdcsr.files import write_json
     from cdcsr.simulation import chosen_backends
     from training.evaluation import TEST_SEED
-    from training.transfer import Cell, disagreements, format_table
+    from training.transfer import Cell, disagreements, format_table, other_targets
     from training.transfer import transfer as measure
 
     backends = chosen_backends(backend)
@@ -155,6 +155,8 @@ def _report(
     cells = measure(controllers, robot, backends, spaces, episodes, seed, disturbances, task, progress)
     print(f"\n{task}: {episodes} episodes in each cell, target seed {seed}\n")
     print(format_table(cells))
+    for sentence in other_targets(cells):
+        print(sentence)
     if json is not None:
         pairs = [pair.as_dict() for pair in disagreements(cells)]
         write_json(

@@ -1,4 +1,4 @@
-"""The transfer matrix: every policy in every engine and space, on the same held-out targets."""
+"""The transfer matrix: every policy in every engine and space, on held-out targets."""
 
 from __future__ import annotations
 
@@ -62,7 +62,8 @@ def transfer(
         robot: the description they are all run on.
         backends, spaces: where.
         episodes: in each cell, as one batch.
-        seed: of the targets, the same in every cell of a space.
+        seed: of the targets, the same in every cell of a space; but Floating and Spatter surround the demonstrations
+            of each policy, which may be others than those of the next, see :func:`other_targets`.
         disturbances: what goes wrong between policy and robot.
         task: what they are to do.
         progress: called with each cell as it is done.
@@ -142,6 +143,20 @@ def disagreements(cells: Sequence[Cell]) -> list[Disagreement]:
             only = [np.flatnonzero(x & ~y).tolist() for x, y in ((first, second), (second, first))]
             found.append(Disagreement(controller, space, (a.backend, b.backend), only[0], only[1], len(first)))
     return found
+
+
+def other_targets(cells: Sequence[Cell]) -> list[str]:
+    """A sentence on each controller and space whose targets are not those of the space's first controller."""
+    first: dict[str, Cell] = {}
+    found: dict[tuple[str, str], str] = {}
+    for cell in cells:
+        usual = first.setdefault(cell.space, cell)
+        if not np.array_equal(cell.result.targets, usual.result.targets):
+            found[cell.controller, cell.space] = (
+                f"{cell.controller} has other targets in {cell.space} than {usual.controller}: those around its own"
+                " demonstrations. The two are not to be compared there."
+            )
+    return list(found.values())
 
 
 def format_table(cells: Sequence[Cell]) -> str:

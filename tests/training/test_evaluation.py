@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -21,7 +22,7 @@ from training import commands, figures
 from training.evaluation import TEST_SEED, VALIDATION_SEED, Result, evaluate, wilson
 from training.networks import Actor
 from training.policy import Policy, find_policy
-from training.transfer import Cell, disagreements, format_table, transfer
+from training.transfer import Cell, disagreements, format_table, other_targets, transfer
 
 Array = NDArray[np.float64]
 
@@ -106,6 +107,14 @@ def _cell(backend: str, success: list[bool]) -> Cell:
     done = np.array(success)
     result = Result(done, np.where(done, 100, 250), np.zeros(len(done)), np.zeros((len(done), 3)))
     return Cell("p", "mujoco", "spatter", backend, "anchor", result)
+
+
+def test_other_targets_in_a_space_are_said_to_be() -> None:
+    one, two = _cell("mujoco", [True, False]), _cell("pybullet", [True, False])
+    elsewhere = replace(two.result, targets=two.result.targets + 0.1)
+    assert other_targets([one, two, replace(one, controller="q")]) == []
+    (said,) = other_targets([one, replace(one, controller="q", result=elsewhere), replace(one, space="floating")])
+    assert said.startswith("q has other targets in anchor than p: ")
 
 
 def test_disagreement_is_paired() -> None:
