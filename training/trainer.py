@@ -209,7 +209,10 @@ class Run:
         if learner.practice > 0:
             env.space = beyond(env.space, learner.practice, self.robot)
         collector = Collector(env, exploration_noise(learner), learner.noise_hold, streams[0])
-        memory = Memory(self.robot, learner, None if clone is None else clone.actions, env.task)
+        try:
+            memory = Memory(self.robot, learner, None if clone is None else clone.actions, env.task)
+        except MemoryError:
+            raise CdcsrError(f"capacity {learner.capacity} does not fit into this machine's memory.") from None
         state_path = self.folder / _STATE
         counters: dict[str, Any] = {"update": 0, "environment_steps": 0, "minutes": 0.0, "recent": []}
         collector.start(config.seed)

@@ -17,8 +17,9 @@ from cdcsr.errors import CdcsrError
 from cdcsr.randomization import Randomization
 from training import trainer
 from training.collector import Collector, FinishedEpisode
-from training.config import PRESETS, Train
+from training.config import PRESETS, Train, learner_for
 from training.evaluation import TEST_SEED, VALIDATION_SEED
+from training.heeded import refuse_unheeded
 from training.locks import Busy, lock
 from training.metrics import COLUMNS, Metrics, read_metrics
 from training.networks import Actor
@@ -179,3 +180,20 @@ def test_a_card_that_lacks_something_is_damaged(tmp_path: Path, demonstrations: 
     (folder / "policy.json").write_text(json.dumps(card))
     with pytest.raises(CdcsrError, match=rf"damaged.*{change}"):
         trainer.load_policy(folder)
+
+
+def test_a_replay_that_does_not_fit_into_memory_is_one_line(
+    tmp_path: Path, demonstrations: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def full(*_: object) -> None:
+        raise MemoryError
+
+    monkeypatch.setattr(trainer, "Memory", full)
+    with pytest.raises(CdcsrError, match="capacity 1000000 does not fit"):
+        train(config(tmp_path / "run", demonstrations, algorithm="td3"))
+
+
+def test_clipping_a_dense_rewards_targets_would_do_nothing(tmp_path: Path) -> None:
+    learner = dataclasses.replace(learner_for("drldr", "paper"), clip_targets=True)
+    with pytest.raises(CdcsrError, match="clip_targets must be False for drldr, not True: its reward is dense"):
+        refuse_unheeded(Train(tmp_path, algorithm="drldr", preset="paper", learner=learner))
