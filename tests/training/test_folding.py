@@ -171,7 +171,8 @@ def test_a_policy_keeps_that_it_folds(robot: Robot, tmp_path: Path) -> None:
     for symmetry in (True, False):
         torch.manual_seed(0)
         actor, folder = Actor(robot, True, (16,), "relu", symmetry), tmp_path / str(symmetry)
-        Policy(actor, robot, np.ones((2, 3)), {"name": "test", "frame_skip": 1}).save(folder)
+        card = {"name": "test", "frame_skip": 1, "space": "anchor", "backend": "mujoco"}
+        Policy(actor, robot, np.ones((2, 3)), card).save(folder)
         read = load_policy(folder)
         torch.testing.assert_close(read.actor.command(observation), actor.command(observation), rtol=0, atol=0)
 
