@@ -1,4 +1,4 @@
-"""Outputs that are either complete or absent: written under a temporary name beside their place, then renamed."""
+"""Outputs that are complete or absent: written under a temporary name beside their place, then renamed. And JSON read."""
 
 from __future__ import annotations
 
@@ -43,6 +43,21 @@ def write_json(path: Path, data: Any) -> None:
         ValueError: a number is NaN or infinite, which JSON cannot say.
     """
     write_text(path, json.dumps(data, indent=2, allow_nan=False, default=_plain) + "\n")
+
+
+def read_json(path: Path) -> dict[str, Any]:
+    """The object in a JSON file.
+
+    Raises:
+        CdcsrError: there is none.
+    """
+    try:
+        data = json.loads(path.read_text("utf-8"))
+    except (OSError, ValueError) as error:
+        raise CdcsrError(f"{path} cannot be read ({error}).") from None
+    if not isinstance(data, dict):
+        raise CdcsrError(f"{path} should hold a JSON object.")
+    return data
 
 
 @contextmanager

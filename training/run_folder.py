@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
 from cdcsr.errors import CdcsrError
-from cdcsr.files import write_json
+from cdcsr.files import read_json, write_json
 from training.config import Learner, Train
 from training.locks import lock
 
@@ -55,21 +54,11 @@ def _refuse(folder: Path, identity: dict[str, Any], force: bool) -> None:
     if not folder.is_dir() or (not path.is_file() and any(not one.name.startswith(".") for one in folder.iterdir())):
         raise CdcsrError(f"{folder} exists and is not a training run; give another folder.")
     if path.is_file():
-        found = _read(path)
+        found = read_json(path)
         if not {"algorithm", "learner"} <= found.keys():
             raise CdcsrError(f"{path} is not of a training run; give another folder.")
         if not force:
             refuse_other_run(path, identity)
-
-
-def _read(path: Path) -> dict[str, Any]:
-    try:
-        found = json.loads(path.read_text("utf-8"))
-    except (OSError, ValueError) as error:
-        raise CdcsrError(f"{path} cannot be read ({error}); give another folder.") from None
-    if not isinstance(found, dict):
-        raise CdcsrError(f"{path} is not of a training run; give another folder.")
-    return found
 
 
 def refuse_other_run(path: Path, identity: dict[str, Any]) -> None:
@@ -78,7 +67,7 @@ def refuse_other_run(path: Path, identity: dict[str, Any]) -> None:
     Raises:
         CdcsrError: it has another, or the file cannot be read.
     """
-    found = _read(path)
+    found = read_json(path)
     # An option younger than the run had the value then that is its default now.
     flat_found, flat_asked = {**_flat(Train(path, learner=Learner()).identity()), **_flat(found)}, _flat(identity)
     if flat_found != flat_asked:

@@ -113,7 +113,7 @@ def test_force_takes_no_folder_that_is_not_of_a_run(tmp_path: Path, demonstratio
     files |= {} if content is None else {"config.json": content}
     for name, text in files.items():
         (folder / name).write_text(text)
-    with pytest.raises(CdcsrError, match=r"not (of )?a training run"):
+    with pytest.raises(CdcsrError, match=r"not (of )?a training run|should hold a JSON object"):
         train(config(folder, demonstrations, force=True))
     assert {name: (folder / name).read_text() for name in files} == files
     (tmp_path / "file").write_text("mine")

@@ -63,7 +63,7 @@ class Job:
         Raises:
             CdcsrError: the record cannot be read.
         """
-        from training.study.records import read_json
+        from cdcsr.files import read_json
 
         path = results / self.name / RECORD
         if not path.is_file():
@@ -178,7 +178,7 @@ def _is_of(folder: Path, digest: str, finished: bool) -> bool:
         digest: of the policy.
         finished: it was there, not trained just now.
     """
-    from training.study.records import read_json
+    from cdcsr.files import read_json
 
     path = folder / RECORD
     return read_json(path).get("policy") == digest if path.is_file() else finished

@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cdcsr.errors import CdcsrError
+from cdcsr.files import read_json
 from training.metrics import read_metrics
 from training.study.spec import SCRIPTED
 from training.style import ALGORITHMS
@@ -249,21 +250,6 @@ def _read_columns(path: Path, kinds: Mapping[str, Callable[[str], Any]]) -> dict
                 for name, kind in kinds.items()}  # fmt: skip
     except (ValueError, IndexError) as error:
         raise CdcsrError(f"{path} has a row that does not fit its columns ({error}); make it again.") from None
-
-
-def read_json(path: Path) -> dict[str, Any]:
-    """The object in a JSON file.
-
-    Raises:
-        CdcsrError: there is none.
-    """
-    try:
-        data = json.loads(path.read_text("utf-8"))
-    except (OSError, ValueError) as error:
-        raise CdcsrError(f"{path} cannot be read ({error}).") from None
-    if not isinstance(data, dict):
-        raise CdcsrError(f"{path} should hold a JSON object.")
-    return data
 
 
 def _plain(value: Any) -> str:
