@@ -1,4 +1,4 @@
-"""Outputs that are complete or absent: written under a temporary name beside their place, then renamed. And JSON read."""
+"""Outputs complete or absent: written under a temporary name beside their place, then renamed. And JSON, read."""
 
 from __future__ import annotations
 
