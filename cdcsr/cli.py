@@ -10,13 +10,15 @@ from __future__ import annotations
 import functools
 import os
 import sys
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from importlib.metadata import EntryPoint, entry_points, version
 from typing import Any, ParamSpec
 
 from cdcsr.errors import CdcsrError, unknown_choice
 
 _GROUP = "cdcsr.commands"
+_REPORTS = "json", "csv"
+"""Options that name a file which a command writes when its work is done; `run` looks before it begins if it can."""
 
 
 _P = ParamSpec("_P")
@@ -96,12 +98,13 @@ def run(function: Callable[..., Any], prog: str, argv: Sequence[str]) -> int:
     try:
         defaults = getattr(function, "defaults", None)
         result = tyro.cli(
-            function,
+            function if defaults else _refusing_unwritable(function),
             prog=prog,
             args=list(argv),
             default=defaults(argv) if defaults else tyro.MISSING,
         )
         if defaults:
+            _refuse_unwritable(vars(result))
             result.run()
     except CdcsrError as error:
         return _fail(str(error), error.exit_code)
@@ -109,6 +112,23 @@ def run(function: Callable[..., Any], prog: str, argv: Sequence[str]) -> int:
         print("cdcsr: interrupted", file=sys.stderr)
         return 130
     return 0
+
+
+def _refusing_unwritable(function: Callable[..., Any]) -> Callable[..., Any]:
+    @functools.wraps(function)
+    def call(*args: Any, **kwargs: Any) -> Any:
+        _refuse_unwritable(kwargs)
+        return function(*args, **kwargs)
+
+    return call
+
+
+def _refuse_unwritable(options: Mapping[str, Any]) -> None:
+    from cdcsr.files import refuse_unwritable
+
+    for name in _REPORTS:
+        if options.get(name) is not None:
+            refuse_unwritable(options[name])
 
 
 def _help(commands: dict[str, EntryPoint]) -> str:

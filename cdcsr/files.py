@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import shutil
 import uuid
 from collections.abc import Iterator
@@ -58,6 +59,21 @@ def read_json(path: Path) -> dict[str, Any]:
     if not isinstance(data, dict):
         raise CdcsrError(f"{path} should hold a JSON object.")
     return data
+
+
+def refuse_unwritable(path: Path) -> None:
+    """Say before the work is done what would keep its outcome from being written to a file; nothing is made.
+
+    Raises:
+        CdcsrError: the place is a folder's, or lies under a file, or in a folder that may not be written to.
+    """
+    if path.is_dir():
+        raise CdcsrError(f"{path} is a folder; give the name of a file.")
+    above = next(folder for folder in path.absolute().parents if folder.exists())
+    if not above.is_dir():
+        raise CdcsrError(f"Cannot write {path}: {above} is a file.")
+    if not os.access(above, os.W_OK):
+        raise CdcsrError(f"Cannot write {path}: {above} may not be written to.")
 
 
 @contextmanager

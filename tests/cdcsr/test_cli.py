@@ -13,6 +13,7 @@ import pytest
 
 from cdcsr import cli
 from cdcsr.errors import CdcsrError
+from cdcsr.files import refuse_unwritable
 
 SCRIPT = str(Path(sys.executable).with_name("cdcsr"))
 HEAVY = ("pydantic", "scipy", "torch", "trimesh", "tyro", "numba", "matplotlib", "minari", "mujoco", "pybullet")
@@ -28,6 +29,11 @@ def double(number: int, /, *, quiet: bool = False) -> None:
     """
     if not quiet:
         print(2 * number)
+
+
+def measure(*, json: Path | None = None, csv: Path | None = None) -> None:
+    """Say that much work is done."""
+    print("worked", json, csv)
 
 
 def fail() -> None:
@@ -170,3 +176,25 @@ def test_another_pipe_that_breaks_is_not_hidden() -> None:
 def test_version(capsys: pytest.CaptureFixture[str]) -> None:
     assert cli.main(["--version"]) == 0
     assert capsys.readouterr().out.startswith("cdcsr ")
+
+
+def test_a_file_that_cannot_be_written_is_refused_before_the_work(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / "file").write_text("")
+    for option, place, why in (
+        ("--json", tmp_path, f"{tmp_path} is a folder; give the name of a file."),
+        ("--csv", tmp_path / "file" / "x.csv", f"Cannot write {tmp_path}/file/x.csv: {tmp_path}/file is a file."),
+    ):
+        assert cli.run(measure, "measure", [option, str(place)]) == 2
+        assert capsys.readouterr() == ("", f"cdcsr: error: {why}\n")
+    new = tmp_path / "new" / "x.json"
+    assert cli.run(measure, "measure", ["--json", str(new)]) == 0
+    assert capsys.readouterr().out == f"worked {new} None\n"
+    assert not new.parent.exists()  # looking makes nothing
+
+
+def test_a_folder_without_permission_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(os, "access", lambda path, mode: (path, mode) != (tmp_path, os.W_OK))  # root may do all
+    with pytest.raises(CdcsrError, match="may not be written to"):
+        refuse_unwritable(tmp_path / "x.json")
