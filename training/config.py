@@ -79,7 +79,8 @@ class Learner:
     scaled_values: bool = False
     """Divide the values in the actor's loss by their mean magnitude in the batch (Fujimoto and Gu 2021, eq. 5)."""
     hindsight: int = 0
-    """Copies of each collected episode that are stored with a target it did reach (Andrychowicz et al. 2017)."""
+    """k: how often each collected transition is stored again, on average, with a target that was reached after it
+    (Andrychowicz et al. 2017)."""
     kept_share: float = 0.0
     """Share of each batch that is drawn from kept episodes: those the replay buffer begins with."""
     keep_successes: bool = False
@@ -141,10 +142,11 @@ PRESETS: dict[PresetName, Learner] = {
 
 OWN: dict[str, dict[PresetName, dict[str, Any]]] = {
     "her": {"paper": {"hindsight": 4}, "tuned": {"hindsight": 4}},
-    # Ball et al. 2023: half of every batch from prior data, LayerNorm, many updates for each step.
+    # Ball et al. 2023: half of every batch from prior data, LayerNorm, many updates for each step. As a run's length is
+    # in updates, many for each step are little experience: in `tuned` it has as much of it as everybody.
     "rlpd": {
         "paper": {"kept_share": 0.5, "layer_norm": True, "updates_per_step": 20, "policy_delay": 20},
-        "tuned": {"kept_share": 0.5, "updates_per_step": 4},
+        "tuned": {"kept_share": 0.5},
     },
     # Of five critics TD3's two are left, and of the tuned preset's two one.
     "batd3-no-ensemble": {"paper": {"critics": 2}, "tuned": {"critics": 1, "target_critics": 1}},

@@ -201,6 +201,8 @@ class Run:
         torch.manual_seed(config.seed)
         self.torch_generator.manual_seed(config.seed)
         algorithm = ALGORITHMS[config.algorithm](self.robot, learner, self.torch_generator)
+        if algorithm.uses_demonstrations:
+            algorithm.show(*self._pairs())
         streams = np.random.default_rng(config.seed).spawn(4)
         plants = None
         if config.randomize:

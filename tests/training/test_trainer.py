@@ -77,6 +77,7 @@ _EVERYTHING = dataclasses.replace(
     [
         ("td3", {}),
         ("batd3", {}),
+        ("rbl", {}),
         # Long enough for plants that are drawn after the stop to be learned from.
         ("td3", {"randomize": 1.0, "learner": dataclasses.replace(_SMALL, updates=120)}),
         pytest.param(

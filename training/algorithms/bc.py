@@ -42,6 +42,21 @@ class BehaviourCloning:
         self.actor.requires_grad_(False)
 
 
+def pairs(actor: Actor, observations: Tensor, commands: Tensor) -> tuple[Tensor, Tensor]:
+    """What an actor is to do, and where: its input, shape (N, F), and the action there in [-1, 1], shape (N, C).
+
+    Args:
+        actor: the network.
+        observations: shape (N, 23 + C).
+        commands: the demonstrator's set-points, shape (N, C), in [m].
+    """
+    wanted = actor.from_command(commands)
+    if actor.folding is not None:
+        observations, cables = actor.folding(observations)
+        wanted = wanted.gather(-1, cables)
+    return actor.encoder(observations), wanted
+
+
 def imitate(
     actor: Actor, learner: Learner, observations: Tensor, commands: Tensor, generator: torch.Generator,
     progress: Progress,
@@ -56,11 +71,7 @@ def imitate(
         generator: draws the batches.
         progress: called with the number of the update and its loss.
     """
-    wanted = actor.from_command(commands)
-    if actor.folding is not None:
-        observations, cables = actor.folding(observations)
-        wanted = wanted.gather(-1, cables)
-    encoded = actor.encoder(observations)
+    encoded, wanted = pairs(actor, observations, commands)
     updates = learner.bc_updates
     optimizer = torch.optim.Adam(actor.parameters(), lr=learner.bc_learning_rate, fused=True)
     schedule = torch.optim.lr_scheduler.CosineAnnealingLR(optimizer, updates)

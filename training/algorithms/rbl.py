@@ -8,6 +8,7 @@ import torch
 from torch import Tensor
 from torch.nn import functional
 
+from training.algorithms.bc import pairs
 from training.algorithms.td3wd import TD3wD
 from training.replay import Batch
 
@@ -16,14 +17,21 @@ class RBL(TD3wD):
     """The actor also imitates, as much as the critics say that imitation still pays.
 
     With the soft Q-filter of Haldar et al. 2022 (eq. 6), the loss is (1 - share) of TD3's and share of the cloning
-    loss, share being that part of the batch in which the clone's action has the higher value.
+    loss, share being that part of the batch in which the clone's action has the higher value. The cloning loss is that
+    of the demonstrations (BATD3 paper, eq. 4), a batch of which is drawn for it: on what else was visited the clone may
+    be wrong, and only tells how much there is still to be learned from it.
     """
 
     uses_clone: ClassVar[bool] = True
+
+    def show(self, observations: Tensor, commands: Tensor) -> None:
+        self._shown, self._wanted = pairs(self.actor, observations, commands)
 
     def policy_loss(self, encoded: Tensor, action: Tensor, batch: Batch) -> Tensor:
         drawn = self._draw_critics()
         values = self.critics(encoded, action, drawn).mean(0)
         with torch.no_grad():
             share = (self.critics(encoded, batch.bc_action, drawn).mean(0) > values).float().mean()
-        return share * functional.mse_loss(action, batch.bc_action) - (1 - share) * values.mean()
+        chosen = torch.randint(len(self._shown), (self.learner.batch_size,), generator=self._generator)
+        imitation = functional.mse_loss(self.actor(self._shown[chosen]), self._wanted[chosen])
+        return share * imitation - (1 - share) * values.mean()

@@ -61,6 +61,9 @@ class TD3:
         self.updates = 0
         self._generator = generator
 
+    def show(self, observations: Tensor, commands: Tensor) -> None:
+        """Take what the demonstrator saw, shape (N, 23 + C), and did, set-points in [m], shape (N, C): for variants."""
+
     @property
     def policy(self) -> Actor:
         """The network that is measured and kept; exploration is always the actor's own."""

@@ -13,11 +13,13 @@ from training.study.switches import (
     CHOICES,
     FASTER,
     HARDER_SWITCHES,
+    MANY_UPDATES,
     OURS,
     OURS_SWITCHES,
     PRACTISED,
     PUT_BACK,
     RAISED,
+    RIVALS_SWITCHES,
     SYMMETRIC,
     UNHURRIED,
     lent,
@@ -208,6 +210,18 @@ def ours(budget: Budget) -> Iterator[Cell]:
             yield _spec(budget, "batd3", "spatter", seed, switches=(("target_choice", choice),)), ("nominal",)
 
 
+def rivals(budget: Budget) -> Iterator[Cell]:
+    """Numbers of the rivals' own varied, as ours are; RLPD with more updates for each step, and then as many steps."""
+    for seed in range(budget.seeds):
+        for algorithm in dict.fromkeys(name for name, _ in RIVALS_SWITCHES):
+            yield _spec(budget, algorithm, "spatter", seed), ("nominal",)
+        for algorithm, switches in RIVALS_SWITCHES:
+            yield _spec(budget, algorithm, "spatter", seed, switches=switches), ("nominal",)
+        for space in SPACES:
+            yield _spec(budget, "rlpd", space, seed, switches=MANY_UPDATES), ("nominal",)
+        yield _four_times(_spec(budget, "rlpd", "spatter", seed, switches=MANY_UPDATES)), ("nominal",)
+
+
 def harder(budget: Budget) -> Iterator[Cell]:
     """Capturing and following: ours with one part fewer or more, and others with our numbers, or those for the task."""
     for seed in range(budget.seeds):
@@ -287,6 +301,7 @@ EXPERIMENTS: dict[str, Experiment] = {
     "symmetry": symmetry,
     "practice": practice,
     "ours": ours,
+    "rivals": rivals,
     "harder": harder,
     "moving": moving,
     "bfloat16": bfloat16,

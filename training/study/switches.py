@@ -43,6 +43,17 @@ _RAISED = tuple((name, getattr(PRESETS["tuned"], name)) for name in _NEEDED)
 RAISED = (_RAISED[:1], _RAISED[1:2], *(_RAISED[:i] for i in range(2, len(_RAISED) + 1)), (_RAISED[0], *_RAISED[2:]))
 """What is taken over from it into the paper's preset: what BATD3 needs most, alone, then one more at a time; last all
 with the paper's one environment, and so with its experience."""
+RIVALS_SWITCHES: tuple[tuple[str, Switches], ...] = (
+    ("rlpd", (("kept_share", 0.25),)),
+    ("rlpd", (("critics", 5),)),
+    ("rbl", (("clone_start", True),)),
+    ("her", (("hindsight", 1),)),
+    ("td3wd", (("kept_share", 0.25),)),
+)
+"""What is changed in the learners of the methods that ours is compared with: numbers that their sources have otherwise,
+or leave open."""
+MANY_UPDATES: Switches = (("updates_per_step", 4),)
+"""What RLPD is known for: in as many updates, a quarter of the experience."""
 HARDER_SWITCHES: tuple[Switches, ...] = (
     (("clone_start", False),),
     (("anchor_floor", 0.0), ("clone_anchor", 0.0)),

@@ -51,10 +51,10 @@ def ablation(runs: Sequence[Run]) -> Table:
 
 
 def own_ablation(runs: Sequence[Run]) -> Table:
-    """Our method with single numbers of its learner changed, in the spaces where that was done."""
+    """Methods with single numbers of their learners changed, in the spaces where that was done."""
     chosen = variants(runs)
     rows = [row for space in SPACES for row in _home_rows(chosen, space, ())]
-    title = f"Variants of {algorithm_title(OURS)} and of BATD3"
+    title = f"Variants of {algorithm_title(OURS)} and of the others"
     return Table("ours", title, basis(chosen), ("space", *TRAINED, *_RESULT, *COST), rows)
 
 
