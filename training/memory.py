@@ -20,7 +20,7 @@ from training.replay import Batch, Replay
 Array = NDArray[np.float64]
 
 _TRIES = 20
-"""Draws of hindsight for each copy that is wanted: pieces are short, and where the tip hardly moved most are in vain."""
+"""Draws of hindsight for each copy that is wanted: pieces are short, and where the tip hardly moved few count."""
 
 
 class Memory:

@@ -10,5 +10,5 @@ class RLPD(TD3wD):
 
     What it does differently is in its numbers: `kept_share`, `layer_norm`, `updates_per_step`. Demonstrations are
     kept apart from what is collected, so half of the samples are theirs however much that becomes. In the preset
-    `tuned` it has as many critics and updates for each step as the other methods; the experiment `rivals` gives it more.
+    `tuned` it has as many critics, and updates for each step, as all; the experiment `rivals` gives it more of them.
     """
