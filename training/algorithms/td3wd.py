@@ -1,4 +1,8 @@
-"""TD3 with demonstrations (Vecerik et al. 2017; TD3wD in the BATD3 paper, section V-B)."""
+"""TD3 with demonstrations in its replay: TD3wD of the BATD3 paper, section V-B.
+
+That much of Vecerik et al. 2017, who also draw by priority, mix returns over one step with longer ones, and keep the
+demonstrations for ever: here they are drawn like everything else, and overwritten once the buffer is full.
+"""
 
 from __future__ import annotations
 

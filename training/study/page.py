@@ -24,7 +24,8 @@ bootstrapped over seeds; an interval with a star comes from one seed and is Wils
 nothing about other seeds. Of three seeds an interval is about their range, and no seed has demonstrations or targets
 of its own: intervals say how much the learning varies. IQM is the interquartile mean over seeds (Agarwal et al. 2021):
 of fewer than four, their mean. l_epi is the mean and standard deviation of the episode length over all episodes, in
-simulation steps, with failures counting in full. Steps are those of all environments together in training; minutes
+simulation steps, with failures counting in full. Steps are those of all environments together in training,
+without the demonstrations, and the clone's 100 episodes that BATD3 and CLASP begin with (some 16,000 steps); minutes
 are wall-clock time of training, the mean over seeds.
 Every number is measured on held-out targets that nothing was tuned on; learning curves are on validation targets.
 `not run` is what no finished run has measured."""
