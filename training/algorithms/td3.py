@@ -1,8 +1,8 @@
 """TD3 with a randomized ensemble of critics: the backbone of every method here.
 
 TD3: Fujimoto et al. 2018 (clipped noise on the target action, delayed actor). The ensemble is that of REDQ,
-Chen et al. 2021: each target is the minimum over Z critics drawn at random from E. With E = Z = 2, as the preset `tuned`
-has it, that is TD3's own pair.
+Chen et al. 2021: each target is the minimum over Z critics drawn at random from E. With E = Z = 2, as in the preset
+`tuned`, that is TD3's own pair.
 """
 
 from __future__ import annotations
