@@ -1,0 +1,110 @@
+"""What the demonstrator wishes for: its prediction of the hinges, its cost, and for whom it acts."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from cdcsr.envs import TaskVectorEnv
+from controllers.jacobian import JacobianController
+
+Array = NDArray[np.float64]
+
+
+@pytest.mark.parametrize("backend", ["mujoco", "pybullet"])
+def test_predicts_the_hinges_rates_of_the_next_step(backend: str) -> None:
+    """With tensions as measured in a step, the prediction from before it meets the rates after it."""
+    env = TaskVectorEnv(1, "paper", backend, "anchor", task="capture", autoreset_mode="Disabled")
+    controller = JacobianController(env.robot)
+    observation, _ = env.reset(seed=1)
+    active, errors, rates = np.ones(1, dtype=bool), [], []
+    for _ in range(60):
+        offset, slope = controller._predict_hinges(env.simulation.dynamics(), env.robot.time_step)
+        observation, *_ = env.step(controller.act(env, observation, active))
+        state = env.simulation.state()
+        errors.append(np.linalg.norm(offset[0] + slope[0] @ state.cable_tension[0] - state.joint_rates[0]))
+        rates.append(np.linalg.norm(state.joint_rates[0]))
+    env.close()
+    assert np.mean(errors[5:]) < 0.02 * np.max(rates)
+
+
+@pytest.mark.parametrize(("task", "frame_skip"), [("reach", 4), ("follow-line", 1), ("capture-drift", 4)])
+def test_the_cost_of_tensions_is_that_of_missing_the_wish_and_of_moving_hinges(
+    task: str, frame_skip: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    env = TaskVectorEnv(2, "paper", "mujoco", "anchor", task=task, frame_skip=frame_skip, autoreset_mode="Disabled")
+    controller = JacobianController(env.robot, gain=10.0, speed=0.8, calm=0.03, calm_within=0.2)
+    observation, _ = env.reset(seed=2)
+    active, rng = np.ones(2, dtype=bool), np.random.default_rng(0)
+    for _ in range(8):
+        observation, *_ = env.step(controller.act(env, observation, active))
+    tip = env.simulation.state().tip_position
+    env.targets[0] = tip[0] + [0.02, 0.03, 0.06]  # 7 cm: 0.7 m/s, and the other one is too far for its gain
+    env.target_velocity[:] = [[0.01, 0.02, 0.03], [0.0, -0.1, 0.2]]
+    asked: list[tuple[Array, Array]] = []
+    tensions = controller._tensions
+
+    def noted(slope: Array, wish: Array) -> Array:
+        asked.append((slope, wish))
+        return tensions(slope, wish)
+
+    monkeypatch.setattr(controller, "_tensions", noted)
+    controller.act(env, observation, active)
+    dynamics, period = env.simulation.dynamics(), 0.0025 * frame_skip
+    offset, slope = controller._predict(dynamics, period)
+    rates, by_tension = controller._predict_hinges(dynamics, period)
+    for i, (matrix, goal) in enumerate(asked):
+        pull = rng.uniform(0, 50, env.robot.num_cables)
+        error = env.targets[i] - tip[i]
+        distance = np.linalg.norm(error)
+        wanted = error / distance * min(10 * distance, 0.8) + env.target_velocity[i]
+        cost = np.sum((offset[i] + slope[i] @ pull - wanted) ** 2)
+        if task != "reach":
+            weight = 0.03 * 0.2**2 / (0.2**2 + distance**2)
+            cost += weight * np.sum((rates[i] + by_tension[i] @ pull) ** 2)
+        assert np.sum((matrix @ pull - goal) ** 2) == pytest.approx(cost, rel=1e-9)
+    env.close()
+    assert len(asked) == 2
+    assert 10 * np.linalg.norm(env.targets[0] - tip[0]) < 0.8 < 10 * np.linalg.norm(env.targets[1] - tip[1])
+
+
+def test_each_copy_is_given_its_own_command_whoever_else_acts() -> None:
+    env = TaskVectorEnv(4, "paper", "mujoco", "anchor", autoreset_mode="Disabled")
+    controller = JacobianController(env.robot)
+    observation, _ = env.reset(seed=5)
+    everyone = np.ones(4, dtype=bool)
+    for _ in range(10):
+        observation, *_ = env.step(controller.act(env, observation, everyone))
+    whole = controller.act(env, observation, everyone)
+    assert np.ptp(whole, axis=0).max() > 0.1
+    some = np.array([False, True, False, True])
+    part = controller.act(env, observation, some)
+    np.testing.assert_allclose(part[some], whole[some], rtol=0, atol=1e-9)
+    np.testing.assert_array_equal(part[~some], 0)
+    np.testing.assert_array_equal(controller.act(env, observation, ~everyone), 0)
+    env.close()
+
+
+@pytest.mark.parametrize("period", [0.0025, 0.05])
+def test_the_prediction_is_an_implicit_step_of_springs_and_dampers(period: float) -> None:
+    """M (v+ - v) = h (forces at the hinges' next angles and rates - L^T t), solved for v+ here."""
+    env = TaskVectorEnv(1, "paper", "mujoco", "anchor", task="capture", autoreset_mode="Disabled")
+    controller = JacobianController(env.robot)
+    observation, _ = env.reset(seed=1)
+    for _ in range(40):
+        observation, *_ = env.step(controller.act(env, observation, np.ones(1, dtype=bool)))
+    d, cables = env.simulation.dynamics(), env.robot.num_cables
+    springs = [(joint.stiffness, joint.damping) for _, joint in env.robot.links for _ in range(2)]
+    env.close()
+    keep = [*range(6), *range(6 + cables, env.robot.num_coordinates)]
+    stiffness, damping = np.zeros((2, len(keep)))
+    stiffness[6:], damping[6:] = np.array(springs).T
+    mass, rate, tension = d.mass_matrix[0][np.ix_(keep, keep)], d.velocity[0, keep], np.linspace(0, 40, cables)
+    # What springs and dampers do at the next angles, which are h v+ away, and rates, is linear in v+.
+    rest = d.passive_force[0, keep] + damping * rate - d.bias_force[0, keep] - d.cable_jacobian[0][:, keep].T @ tension
+    after = np.linalg.solve(mass + np.diag(period * damping + period**2 * stiffness), mass @ rate + period * rest)
+    offset, slope = controller._predict(d, period)
+    np.testing.assert_allclose(offset[0] + slope[0] @ tension, d.tip_jacobian[0][:, keep] @ after, rtol=1e-9)
+    offset, slope = controller._predict_hinges(d, period)
+    np.testing.assert_allclose(offset[0] + slope[0] @ tension, after[6:], rtol=1e-8, atol=1e-8)
