@@ -48,7 +48,7 @@ def demonstrate(
         recorded, failed = demonstrations.record(controller, env, episodes, seed)
         demonstrations.save(folder, recorded, env, controller.name, out.name)
         env.close()
-    lengths = [episode.length for episode in recorded]
+    lengths = [frame_skip * episode.length for episode in recorded]
     summary = {
         "out": str(out),
         "robot": env.robot.name,

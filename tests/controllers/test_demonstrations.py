@@ -50,7 +50,10 @@ def test_replaying_the_commands_gives_the_observations(folder: Path) -> None:
 
 
 def test_any_task_and_frame_skip_is_replayed(tmp_path: Path) -> None:
-    demonstrate(out=tmp_path / "quiet", episodes=1, seed=0, frame_skip=5, task="precise")
+    record = tmp_path / "record.json"
+    demonstrate(out=tmp_path / "quiet", episodes=1, seed=0, frame_skip=5, task="precise", json=record)
+    (episode,) = load(tmp_path / "quiet", load_robot("paper").fingerprint, 5)
+    assert json.loads(record.read_text())["steps"] == 5 * len(episode.actions)  # the simulation's
     with pytest.raises(CdcsrError, match="have frame_skip 5, not 1"):
         replay(tmp_path / "quiet", backend="mujoco")
     replay(tmp_path / "quiet", backend="mujoco", frame_skip=5, json=tmp_path / "replay.json")

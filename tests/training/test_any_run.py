@@ -4,14 +4,12 @@ from __future__ import annotations
 
 from pathlib import Path
 
-import pytest
 from small_study import find, nominal, write_run
 
 from training.study.records import load_study
 from training.study.tables import robustness
 
 
-@pytest.mark.xfail(strict=True, reason="at_home takes the demonstrator in where it is filed, in Anchor, and only there")
 def test_the_demonstrator_counts_as_any_run_in_all_spaces_or_in_none(tmp_path: Path) -> None:
     spaces = ("anchor", "floating", "spatter")
     for space in spaces:

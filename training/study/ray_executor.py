@@ -48,7 +48,7 @@ def carry_out_on_ray(jobs: Sequence[Job], runs: Path, results: Path, address: st
     try:
         ray.init(address=address, log_to_driver=False, logging_level="ERROR")
     except (ConnectionError, ValueError, RuntimeError) as error:
-        raise CdcsrError(f"There is no Ray cluster at {address!r}: {str(error).splitlines()[0]}.") from None
+        raise CdcsrError(f"There is no Ray cluster at {address!r}: {_first_line(error)}.") from None
     try:
         processors = int(ray.cluster_resources().get("CPU", 1))
         print(f"{len(left)} runs on {len(ray.nodes())} nodes with {processors} processors", flush=True)
@@ -95,7 +95,7 @@ def _conclude(ray: Any, done: Any, job: Job, runs: Path, results: Path, outcome:
     try:
         code, minutes = ray.get(done)
     except ray.exceptions.RayError as error:
-        outcome.failed[job.name] = str(error).splitlines()[0]
+        outcome.failed[job.name] = _first_line(error)
         progress.done(job, f"failed, {outcome.failed[job.name]}")
         return
     if code == 0 and job.is_done(results):
@@ -104,6 +104,10 @@ def _conclude(ray: Any, done: Any, job: Job, runs: Path, results: Path, outcome:
     else:
         outcome.failed[job.name] = failure(code, log_path(job, runs))
         progress.done(job, f"failed, {outcome.failed[job.name]}")
+
+
+def _first_line(error: Exception) -> str:
+    return next(iter(str(error).splitlines()), type(error).__name__)
 
 
 def _import_ray() -> Any:
