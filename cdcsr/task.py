@@ -206,8 +206,6 @@ class Task(ABC):
 
     def _first_success(self, on_target: Mask) -> int | None:
         """:meth:`first_success` of one episode, from where it was on target after each action, shape (T,)."""
-        if not on_target.any():  # nearly always, when targets are tried out
-            return None
         memory = self.memory(1)
         for done, holds in enumerate(on_target, start=1):
             self._count(np.array([holds]), memory)

@@ -114,8 +114,6 @@ class Follow(Task):
 
     def _first_success(self, on_target: Mask) -> int | None:
         """It is decided at the end."""
-        if on_target.sum() < self.share * (len(on_target) - actions_in(self.settling, self.period)) - 1:
-            return None  # as nearly always, when targets are tried out
         memory = self.memory(1)
         for holds in on_target:
             self._count(np.array([holds]), memory)

@@ -79,8 +79,8 @@ class Learner:
     scaled_values: bool = False
     """Divide the values in the actor's loss by their mean magnitude in the batch (Fujimoto and Gu 2021, eq. 5)."""
     hindsight: int = 0
-    """k: how often each collected transition is stored again, on average, with a target that was reached after it
-    (Andrychowicz et al. 2017)."""
+    """Copies of each collected episode that are stored with a target it did reach, up to where it did (Andrychowicz et
+    al. 2017): every transition's target is from its own future, but those late in an episode are in fewer copies."""
     kept_share: float = 0.0
     """Share of each batch that is drawn from kept episodes: those the replay buffer begins with."""
     keep_successes: bool = False

@@ -13,32 +13,30 @@ Array = NDArray[np.float64]
 
 
 def relabel(episode: FinishedEpisode, task: Task, rng: np.random.Generator) -> FinishedEpisode | None:
-    """A piece of the episode, with a target near where its tip was later: Andrychowicz et al.'s strategy "future".
+    """The episode with a target near where its tip was at a time drawn at random, up to where it first succeeds.
 
-    They give each transition a target of its own; returns over many steps need rows on end that share one.
+    That is the strategy "future" for its first transition. For later ones it is, too, but they are in fewer such
+    copies; pieces that begin anywhere would even that out, and taught less ("tried and left" in docs/study.md).
 
     Args:
         episode: of T actions.
         task: says what success is; the target is at rest, whatever the task's does.
-        rng: draws where the piece begins, when after that the tip was near the target, and where in the ball of the
-            threshold's radius around the tip the target is.
+        rng: draws the time, and where in the ball of the threshold's radius around the tip the target is.
 
     Returns:
-        A successful episode, up to its success; or None where it succeeds at no time, or begins on target, which
-        teaches nothing.
+        A successful episode; or None where it succeeds at no time, or begins on target, which teaches nothing.
     """
-    start = rng.integers(len(episode.actions))
-    rows = episode.observations[start:]
-    tip = rows[:, TIP_POSITION]
+    tip = episode.observations[:, TIP_POSITION]
     direction = rng.normal(size=3)
     offset = direction * (task.threshold * np.cbrt(rng.random()) / np.linalg.norm(direction))
     target = tip[rng.integers(1, len(tip))] + offset
     if np.linalg.norm(target - tip[0]) <= task.threshold:
         return None
+    rows = episode.observations
     last = task.first_success(
         tip, rows[:, TIP_VELOCITY], target, rows[:, BASE_POSITION], rows[:, BASE_QUATERNION]
     )  # fmt: skip
     if last is None:
         return None
-    moved, actions = with_target(rows[: last + 1], target), episode.actions[start : start + last]
-    return FinishedEpisode(moved, actions, task.episode_rewards(moved, True), True, task.ends)
+    moved = with_target(rows[: last + 1], target)
+    return FinishedEpisode(moved, episode.actions[:last], task.episode_rewards(moved, True), True, task.ends)

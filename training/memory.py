@@ -19,9 +19,6 @@ from training.replay import Batch, Replay
 
 Array = NDArray[np.float64]
 
-_TRIES = 20
-"""Draws of hindsight for each copy that is wanted: pieces are short, and where the tip hardly moved few count."""
-
 
 class Memory:
     """Two replay buffers, of which the second is there only if a share of each batch is to come from it.
@@ -66,14 +63,10 @@ class Memory:
         self._store(self.replays["replay"], episode)
         if self._learner.keep_successes and episode.success and "kept" in self.replays:
             self._store(self.replays["kept"], episode)
-        wanted = self._learner.hindsight * len(episode.actions)
-        for _ in range(_TRIES * self._learner.hindsight):
-            if wanted <= 0:
-                return
+        for _ in range(self._learner.hindsight):
             other = relabel(episode, self._task, rng)
             if other is not None:
                 self._store(self.replays["replay"], other)
-                wanted -= len(other.actions)
 
     def sample(self, rng: np.random.Generator) -> Batch:
         """A batch, of which the kept episodes give their share, or all of it until enough is collected."""
