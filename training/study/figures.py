@@ -119,9 +119,11 @@ def _draw(panels: Panels, path: Path, counts: bool) -> None:
             axes.set(title=title, xlabel="updates")
             for setting, group in groups.items():
                 draw_curve(axes, setting, group, _label(setting, counts), *looks[_label(setting, counts)])
-            axes.set_xlim(left=0)
             axes.xaxis.set_major_formatter(short_count)
             tidy(axes)
+        widest = max(axes.get_xlim()[1] for axes in grid[: len(shown)])  # one may have level lines alone
+        for axes in grid[: len(shown)]:
+            axes.set_xlim(0, widest)
         grid[0].set_ylabel("success on validation targets")
         if counts:
             _by_count(grid[-1], panels)
