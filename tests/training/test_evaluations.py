@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 from numpy.typing import NDArray
+from tiny import CENTERS, untrained_policy
 
 from cdcsr.disturbances import Disturbances
 from cdcsr.envs import ReachVectorEnv
@@ -18,7 +19,6 @@ from cdcsr.spaces import make_space
 from controllers.controller import Controller
 from training import evaluation
 from training.evaluation import TEST_SEED, Result
-from training.networks import Actor
 from training.policy import Policy
 from training.study import evaluations
 from training.study import follow as following
@@ -29,7 +29,6 @@ from training.study.records import read_episodes, read_follow
 from training.study.spec import RunSpec
 
 Array = NDArray[np.float64]
-CENTERS = np.array([[0.1, 0.2, 2.4]])
 
 
 @pytest.fixture(scope="module")
@@ -39,8 +38,7 @@ def robot() -> Robot:
 
 @pytest.fixture
 def policy(robot: Robot) -> Policy:
-    card = {"name": "p", "backend": "pybullet", "space": "floating", "frame_skip": 5}
-    return Policy(Actor(robot, False, (4,), "relu"), robot, CENTERS, card)
+    return untrained_policy(robot)
 
 
 class Measured:

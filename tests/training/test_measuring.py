@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 from numpy.typing import NDArray
+from tiny import untrained_policy
 
 from cdcsr.disturbances import Disturbances
 from cdcsr.envs import ReachVectorEnv
@@ -18,13 +19,11 @@ from controllers.jacobian import JacobianController
 from training import evaluation, transfer
 from training import sweep as sweeps
 from training.evaluation import Result, evaluate
-from training.networks import Actor
 from training.plants import AXES, SecondPlant
 from training.policy import Policy
 from training.sweep import Point, between_plants, differences, format_sweep, halvings, sweep
 
 Array = NDArray[np.float64]
-CENTERS = np.array([[0.1, 0.2, 2.4]])
 
 
 class Still(Controller):
@@ -48,8 +47,7 @@ def small() -> Robot:
 
 @pytest.fixture
 def policy(paper: Robot) -> Policy:
-    card = {"name": "p", "backend": "pybullet", "space": "floating", "frame_skip": 5}
-    return Policy(Actor(paper, False, (4,), "relu"), paper, CENTERS, card)
+    return untrained_policy(paper)
 
 
 def result(successes: int, total: int = 4, length: int = 100) -> Result:

@@ -5,7 +5,12 @@ from __future__ import annotations
 from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
+
+from cdcsr.robot import Robot
 from training import locks
+from training.networks import Actor
+from training.policy import Policy
 from training.study.grid import Budget
 from training.study.jobs import Job
 from training.study.spec import RunSpec
@@ -14,6 +19,8 @@ FRAME_SKIP = 10
 """Episodes of 25 actions, so that some end within a short run."""
 TINY = (("batch_size", 32), ("bc_rollouts", 4), ("bc_updates", 100), ("hidden", (16, 16)), ("num_envs", 4))
 """What is switched in a job's learner."""
+CENTERS = np.array([[0.1, 0.2, 2.4]])
+"""Of the demonstrations' targets of `untrained_policy`: nobody else's."""
 TINY_BUDGET = Budget("tiny", 1, 60, 60, 2, 20, 2)
 
 
@@ -21,6 +28,12 @@ def tiny_job(updates: int = 60, evaluations: tuple[str, ...] = ("nominal",), **o
     """Of TD3, unless the options, fields of its :class:`RunSpec`, say something else."""
     spec = replace(RunSpec("td3", updates=updates, demonstrations=1, switches=TINY), **options)
     return Job(spec, evaluations, TINY_BUDGET)
+
+
+def untrained_policy(robot: Robot) -> Policy:
+    """Whose options are all other than the defaults."""
+    card = {"name": "p", "backend": "pybullet", "space": "floating", "frame_skip": 5}
+    return Policy(Actor(robot, False, (4,), "relu"), robot, CENTERS, card)
 
 
 def is_held(path: Path) -> bool:

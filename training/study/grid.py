@@ -213,10 +213,9 @@ def ours(budget: Budget) -> Iterator[Cell]:
 def rivals(budget: Budget) -> Iterator[Cell]:
     """Numbers of the rivals' own varied, as ours are; RLPD with more updates for each step, and then as many steps."""
     for seed in range(budget.seeds):
-        for algorithm in dict.fromkeys(name for name, _ in RIVALS_SWITCHES):
-            yield _spec(budget, algorithm, "spatter", seed), ("nominal",)
         for algorithm, switches in RIVALS_SWITCHES:
-            yield _spec(budget, algorithm, "spatter", seed, switches=switches), ("nominal",)
+            for changed in ((), switches):
+                yield _spec(budget, algorithm, "spatter", seed, switches=changed), ("nominal",)
         for space in SPACES:
             yield _spec(budget, "rlpd", space, seed, switches=MANY_UPDATES), ("nominal",)
         yield _four_times(_spec(budget, "rlpd", "spatter", seed, switches=MANY_UPDATES)), ("nominal",)
