@@ -167,7 +167,7 @@ def tasks(budget: Budget) -> Iterator[Cell]:
     for task, space in TASKS:
         yield _scripted(task=task, space=space), ("nominal",)
     for seed in range(budget.seeds):
-        for algorithm in TASK_METHODS:
+        for algorithm in (*TASK_METHODS, "rbl"):  # the rival that comes closest to ours in the paper's spaces
             for task, space in TASKS:
                 yield _spec(budget, algorithm, space, seed, task=task), ("nominal",)
 
