@@ -141,7 +141,7 @@ def _report(
     from cdcsr.disturbances import Disturbances
     from cdcsr.files import write_json
     from cdcsr.simulation import chosen_backends
-    from training.evaluation import TEST_SEED
+    from training.seeds import TEST_SEED
     from training.transfer import Cell, disagreements, format_table, other_targets
     from training.transfer import transfer as measure
 

@@ -21,10 +21,11 @@ from controllers.commands import demonstrate
 from controllers.controller import Controller
 from controllers.jacobian import JacobianController
 from training.config import PRESETS, Learner, Train
-from training.evaluation import TEST_SEED, Result
+from training.evaluation import Result
 from training.figures import learning_curve, targets_picture
 from training.metrics import read_metrics
 from training.policy import Policy, load_policy
+from training.seeds import TEST_SEED
 from training.style import algorithm_title, engine_title
 from training.trainer import train
 from training.transfer import disagreements, format_table, transfer

@@ -17,14 +17,10 @@ from controllers.controller import Controller
 from controllers.demonstrations import rollout
 from training.plants import SecondPlant
 from training.policy import Policy
+from training.seeds import TEST_SEED
 from training.study.statistics import wilson
 
 Array = NDArray[np.float64]
-
-TEST_SEED = 10_000
-"""Of the held-out targets every reported number is measured on. Nothing is ever tuned on them."""
-VALIDATION_SEED = 20_000
-"""Of the targets a run is watched on while it learns, and things are tuned on."""
 
 
 @dataclass(frozen=True)

@@ -32,6 +32,7 @@ def report(
     from training.study.aggregate import aggregate
     from training.study.engines import differences
     from training.study.figures import curve_figures
+    from training.study.nearness import nearness
     from training.study.page import beside_paper, missing, page
     from training.study.plant_figures import follow_figures, plant_figures
     from training.study.plants import check_axes
@@ -48,7 +49,7 @@ def report(
     wanted = _expected(runs)
     paper, tables = (
         list(beside_paper(runs, wanted)),
-        [aggregate(runs), *all_tables(runs), differences(runs), beside_demonstrator(runs)],
+        [aggregate(runs), *all_tables(runs), nearness(runs), differences(runs), beside_demonstrator(runs)],
     )
     with new_folder(out, force=True) as folder:
         figures = [*curve_figures(runs, folder), *variant_figures(runs, folder)]

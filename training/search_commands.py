@@ -78,8 +78,8 @@ def search(
     from cdcsr.files import write_json, write_text
     from controllers.search import improve
     from training.commands import find_controller, trained_space
-    from training.evaluation import TEST_SEED
     from training.policy import Policy
+    from training.seeds import TEST_SEED
 
     torch.set_num_threads(1)
     for name, value in {"episodes": episodes, "rounds": rounds}.items():

@@ -14,9 +14,10 @@ from cdcsr.robot import Robot
 from cdcsr.task import Task
 from cdcsr.tasks import make_task
 from controllers.controller import Controller
-from training.evaluation import TEST_SEED, Result, evaluate
+from training.evaluation import Result, evaluate
 from training.plants import Axis
 from training.policy import Policy
+from training.seeds import TEST_SEED
 
 
 class Row(NamedTuple):

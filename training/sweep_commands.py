@@ -38,8 +38,8 @@ def sweep(
     from cdcsr.files import write_json, write_text
     from cdcsr.simulation import chosen_backends
     from training.commands import find_controller, trained_space, trained_task
-    from training.evaluation import TEST_SEED
     from training.plants import find_axes
+    from training.seeds import TEST_SEED
     from training.sweep import Point, Row, between_engines, between_plants, format_sweep, halvings
     from training.sweep import sweep as measure
 

@@ -33,7 +33,7 @@ from training.algorithms.td3 import TD3
 from training.checkpoints import load_state, save_state
 from training.collector import Collector, FinishedEpisode, exploration_noise
 from training.config import Train
-from training.evaluation import VALIDATION_SEED, Result, evaluate
+from training.evaluation import Result, evaluate
 from training.heeded import refuse_unheeded
 from training.memory import Memory
 from training.metrics import Meter, Metrics
@@ -41,6 +41,7 @@ from training.networks import Actor
 from training.policy import Policy, load_policy
 from training.precision import bfloat16_products
 from training.run_folder import claim_folder
+from training.seeds import VALIDATION_SEED
 
 Array = NDArray[np.float64]
 _STATE = "state.safetensors"

@@ -13,8 +13,9 @@ from cdcsr.disturbances import Disturbances
 from cdcsr.errors import CdcsrError
 from cdcsr.robot import Robot
 from controllers.controller import Controller
-from training.evaluation import TEST_SEED, Result, evaluate
+from training.evaluation import Result, evaluate
 from training.policy import Policy
+from training.seeds import TEST_SEED
 
 
 @dataclass(frozen=True)

@@ -19,9 +19,10 @@ from cdcsr.robot import load_robot
 from controllers.controller import Controller
 from controllers.jacobian import JacobianController
 from training import commands, figures
-from training.evaluation import TEST_SEED, VALIDATION_SEED, Result, evaluate, wilson
+from training.evaluation import Result, evaluate, wilson
 from training.networks import Actor
 from training.policy import Policy, find_policy
+from training.seeds import TEST_SEED, VALIDATION_SEED
 from training.transfer import Cell, disagreements, format_table, other_targets, transfer
 
 Array = NDArray[np.float64]

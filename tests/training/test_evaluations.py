@@ -18,8 +18,9 @@ from cdcsr.robot import Robot, load_robot
 from cdcsr.spaces import make_space
 from controllers.controller import Controller
 from training import evaluation
-from training.evaluation import TEST_SEED, Result
+from training.evaluation import Result
 from training.policy import Policy
+from training.seeds import TEST_SEED
 from training.study import evaluations
 from training.study import follow as following
 from training.study.evaluations import EVALUATIONS, Subject

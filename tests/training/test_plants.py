@@ -20,9 +20,10 @@ from cdcsr.robot import Robot, load_robot
 from cdcsr.simulation import Simulation, make_simulation
 from controllers.controller import Controller
 from training import sweep as sweeps
-from training.evaluation import VALIDATION_SEED, Result, evaluate
+from training.evaluation import Result, evaluate
 from training.plants import AXES, Axis, find_axes
 from training.policy import Policy, find_policy
+from training.seeds import VALIDATION_SEED
 from training.study import evaluations
 from training.study.spec import SCRIPTED, RunSpec
 from training.sweep import Point, between_engines, differences, directions, format_sweep, halvings, sweep

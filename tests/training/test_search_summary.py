@@ -14,7 +14,7 @@ from cdcsr import cli
 from cdcsr.robot import load_robot
 from cdcsr.spaces import make_space
 from controllers.search import Outcome
-from training.evaluation import TEST_SEED
+from training.seeds import TEST_SEED
 
 FOUND = [
     (Outcome(0.25, 200.0, 0.01), Outcome(0.75, 150.0, 0.005)),

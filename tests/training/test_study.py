@@ -68,7 +68,7 @@ def test_every_experiment_is_said_and_has_each_seed(budget: Budget) -> None:
         assert {spec.seed for spec, _ in cells.values()} == set(range(budget.seeds))
         trained = [spec for spec, _ in cells.values() if spec.algorithm != SCRIPTED]
         lengths = {spec.updates / budget.length(spec.preset) for spec in trained}
-        assert lengths == {"longer": {4}, "rivals": {1, 4}}.get(experiment, {1})
+        assert lengths == {"longer": {4}, "moving": {1, 4}, "rivals": {1, 4}}.get(experiment, {1})
     # Together each run comes once, with the evaluations of all: Table IV's are runs of Table II.
     both = collect(["table2", "table4"], budget)
     assert sorted(both) == sorted({*names["table2"], *names["table4"]})

@@ -18,12 +18,12 @@ from cdcsr.randomization import Randomization
 from training import trainer
 from training.collector import Collector, FinishedEpisode
 from training.config import PRESETS, Train, learner_for
-from training.evaluation import TEST_SEED, VALIDATION_SEED
 from training.heeded import refuse_unheeded
 from training.locks import Busy, lock
 from training.metrics import COLUMNS, Metrics, read_metrics
 from training.networks import Actor
 from training.ranges import EVALUATION_SEEDS
+from training.seeds import TEST_SEED, VALIDATION_SEED
 from training.trainer import train
 
 _SMALL = dataclasses.replace(

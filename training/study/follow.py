@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from cdcsr.envs import TaskVectorEnv
 from cdcsr.robot import Robot
 from controllers.controller import Controller
-from training.evaluation import TEST_SEED
+from training.seeds import TEST_SEED
 
 MOTIONS = ("line", "circle", "random")
 KEEP_EVERY = 25
