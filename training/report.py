@@ -32,7 +32,7 @@ def report(
     from training.study.aggregate import aggregate
     from training.study.engines import differences
     from training.study.figures import curve_figures
-    from training.study.nearness import nearness
+    from training.study.nearness import nearness, nearness_figures
     from training.study.page import beside_paper, missing, page
     from training.study.plant_figures import follow_figures, plant_figures
     from training.study.plants import check_axes
@@ -53,7 +53,7 @@ def report(
     )
     with new_folder(out, force=True) as folder:
         figures = [*curve_figures(runs, folder), *variant_figures(runs, folder)]
-        figures += [*follow_figures(runs, folder), *plant_figures(runs, folder)]
+        figures += [*follow_figures(runs, folder), *nearness_figures(runs, folder), *plant_figures(runs, folder)]
         for table in (*paper, *tables):
             write_text(folder / f"{table.name}.csv", table.csv())
         write_text(folder / PAGE, page(runs, paper, tables, figures, wanted))

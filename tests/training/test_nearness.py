@@ -4,8 +4,10 @@ from __future__ import annotations
 
 from pathlib import Path
 
+import imageio.v2 as imageio
 import numpy as np
 import pytest
+from PIL import ImageColor
 from small_study import find, nominal, write_run
 
 from cdcsr.envs import ReachVectorEnv
@@ -14,7 +16,8 @@ from controllers.demonstrations import record
 from controllers.jacobian import JacobianController
 from training.seeds import TEST_SEED
 from training.study import nearness as module
-from training.study.nearness import distances, nearness
+from training.study.figures import COLORS
+from training.study.nearness import distances, nearness, nearness_figures
 from training.study.records import load_study
 
 ROBOT = load_robot("paper")
@@ -73,3 +76,20 @@ def test_rows_are_plain_runs_of_the_known_robot_that_saw_the_ten(study: Path) ->
         ("reach", "Spatter", "BC"),
         ("capture", "Anchor", "BATD3"),
     ]
+
+
+def test_a_figure_shows_the_methods_of_one_engine_and_length(study: Path, tmp_path: Path) -> None:
+    """By their colours: methods are drawn, ablations and runs of another length are not."""
+    known = {"nominal": [nominal("1111")]}
+    for name, spec in {
+        "ablation": {"algorithm": "batd3-no-bc"},
+        "long": {"algorithm": "td3wd", "updates": 4000},
+    }.items():
+        path = write_run(study, name, known, **spec) / "run.json"
+        path.write_text(path.read_text("utf-8").replace('"fingerprint": "f"', f'"fingerprint": "{ROBOT.fingerprint}"'))
+    ((file, said),) = nearness_figures(load_study(study), tmp_path)
+    assert file == "nearness-mujoco.png"
+    assert "1 to 2 seeds" in said
+    picture = imageio.imread(tmp_path / file)[..., :3]
+    seen = {name for name, color in COLORS.items() if (picture == ImageColor.getrgb(color)).all(axis=2).sum() > 20}
+    assert seen - {"drldr"} == {"batd3", "bc"}  # its colour is that of text

@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections import Counter
+from collections.abc import Iterator, Sequence
 from itertools import pairwise
+from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,10 +14,13 @@ from numpy.typing import NDArray
 from cdcsr.robot import Robot, load_robot
 from cdcsr.spaces import demonstration_targets, make_space
 from training.seeds import TEST_SEED
-from training.study.cells import COST, TRAINED, Table, Value, cost, measure, trained
-from training.study.records import DEMONSTRATIONS, JACOBIAN, REACH, SPACES, Run, at_home, grouped
-from training.study.statistics import rate
+from training.study.cells import COST, TRAINED, Table, amount, cost, measure, trained
+from training.study.figures import COLORS, legend, tidy
+from training.study.grid import ABLATIONS
+from training.study.records import DEMONSTRATIONS, JACOBIAN, REACH, SPACES, Run, Setting, at_home, grouped
+from training.study.statistics import Estimate, rate
 from training.study.tables import basis
+from training.style import algorithm_title, drawn, engine_title
 
 ROBOT = "paper"
 """The robot of the study; of another the targets are not known here."""
@@ -22,39 +28,92 @@ TOLD = ("anchor", "spatter")
 """Spaces of targets near a demonstration and far from all. In Floating they are within 10 mm of one."""
 BOUNDS = (0.0, 0.03, 0.06, 0.09, np.inf)
 """Of the distances that are told apart, in [m]; the first is the paper's threshold."""
+_BINS = [f"to {1e3 * high:g} mm" if np.isfinite(high) else f"from {1e3 * low:g} mm" for low, high in pairwise(BOUNDS)]
+_TICKS = [f"< {1e3 * high:g}" if np.isfinite(high) else f"≥ {1e3 * low:g}" for low, high in pairwise(BOUNDS)]
+_COLUMNS = 4
+
+
+class Row(NamedTuple):
+    """What some seeds did in their space: for each distance the number of targets, and success if there are any."""
+
+    task: str
+    space: str
+    setting: Setting
+    seeds: list[Run]
+    bins: list[tuple[int, Estimate | None]]
 
 
 def nearness(runs: Sequence[Run]) -> Table:
     """Success on held-out targets near a demonstration and far from all, by task, in space and engine of training."""
-    robot = load_robot(ROBOT)
-    chosen = [run for run in runs if run.fingerprint == robot.fingerprint and _as_shown(run)]
-    tasks = sorted({run.setting.task for run in chosen}, key=lambda task: (task != REACH, task))
-    rows: list[list[Value]] = []
-    for task in tasks:
-        own = [run for run in chosen if run.setting.task == task]
-        for space in TOLD:
-            for setting, group in grouped(own, "space").items():
-                cell = measure(seeds := at_home(group, space), "nominal", space=space)
-                if cell is None:
-                    continue
-                far = [distances(robot, space, len(one)) for one in cell.episodes]
-                values: list[Value] = []
-                for low, high in pairwise(BOUNDS):
-                    found = [
-                        one.success[(low <= metres) & (metres < high)]
-                        for one, metres in zip(cell.episodes, far, strict=True)
-                    ]
-                    values += [len(found[0]), rate(found) if len(found[0]) else "-"]
-                rows.append([task, SPACES[space], *trained(setting), *values, *cost(seeds)])
-    names = [
-        f"to {1e3 * high:g} mm" if np.isfinite(high) else f"from {1e3 * low:g} mm" for low, high in pairwise(BOUNDS)
+    rows = _rows(runs)
+    values = [
+        [
+            row.task,
+            SPACES[row.space],
+            *trained(row.setting),
+            *("-" if x is None else x for pair in row.bins for x in pair),
+            *cost(row.seeds),
+        ]
+        for row in rows
     ]
-    head = ("task", "space", *TRAINED, *(x for name in names for x in (f"targets {name}", f"κ {name}")), *COST)
+    head = ("task", "space", *TRAINED, *(x for name in _BINS for x in (f"targets {name}", f"κ {name}")), *COST)
     note = (
         "Held-out targets by their distance to the nearest of the ten that were demonstrated, for preset `tuned`: "
         "in Anchor Space some are far from all of them, which is not to be seen from success as a whole. "
     )
-    return Table("nearness", "Near a demonstration, and far from all", note + basis(chosen), head, rows)
+    seen = {run.name: run for row in rows for run in row.seeds}
+    return Table("nearness", "Near a demonstration, and far from all", note + basis([*seen.values()]), head, values)
+
+
+def nearness_figures(runs: Sequence[Run], out: Path) -> Iterator[tuple[str, str]]:
+    """The same, drawn for each engine of training.
+
+    Args:
+        runs: of the study.
+        out: folder of the figures.
+
+    Yields:
+        The name of each file, and its caption.
+    """
+    rows = [row for row in _rows(runs) if row.setting.algorithm not in ABLATIONS[1:]]
+    for engine in sorted({row.setting.backend for row in rows}):
+        own = [row for row in rows if row.setting.backend == engine]
+        lengths = Counter(row.setting.updates for row in own if row.setting.updates)
+        usual = (0, *(length for length, _ in lengths.most_common(1)))
+        own = [row for row in own if row.setting.updates in usual]
+        panels: dict[str, list[Row]] = {}
+        for row in own:
+            panels.setdefault(f"{row.task}, {SPACES[row.space]}", []).append(row)
+        columns = min(_COLUMNS, len(panels))
+        lines = -(-len(panels) // columns)
+        file = f"nearness-{engine}.png"
+        with drawn(out / file, (3.1 * columns + 0.4, 2.6 * lines + 0.7), "constrained") as figure:
+            grid = figure.subplots(lines, columns, sharey=True, squeeze=False)
+            for axes in grid.flat[len(panels) :]:
+                axes.set_axis_off()
+            for axes, (title, some) in zip(grid.flat, panels.items(), strict=False):
+                for row in some:
+                    _, *line = zip(
+                        *[(i, i, e.value) for i, (_, e) in enumerate(row.bins) if e is not None], strict=True
+                    )
+                    style = {"ls": "--"} if row.setting.algorithm == JACOBIAN else {}
+                    color, name = COLORS[row.setting.algorithm], algorithm_title(row.setting.algorithm)
+                    axes.plot(*line, color=color, lw=1.6, marker="o", ms=3.5, label=name, **style)
+                sizes = [count for count, _ in some[0].bins]
+                labels = [f"{name}\n{count}" for name, count in zip(_TICKS, sizes, strict=True)]
+                axes.set_xticks(range(len(labels)), labels)
+                axes.set_title(title)
+                tidy(axes)
+            for axes in grid[:, 0]:
+                axes.set_ylabel("success")
+            for axes in grid.flat[max(0, len(panels) - columns) : len(panels)]:
+                axes.set_xlabel("mm to a demonstration; targets")
+            legend(figure, 5)
+        yield (
+            file,
+            f"Success by the distance from target to nearest demonstration, and how many targets are so far; trained in"
+            f" {engine_title(engine)}, {amount((len(row.seeds) for row in own), 'seed')}. Dashed: the demonstrator.",
+        )
 
 
 def distances(robot: Robot, space: str, num: int) -> NDArray[np.float64]:
@@ -68,6 +127,29 @@ def distances(robot: Robot, space: str, num: int) -> NDArray[np.float64]:
     shown = demonstration_targets(robot, DEMONSTRATIONS)
     targets = make_space(space, robot, shown).sample(np.random.default_rng(TEST_SEED), num)
     return np.linalg.norm(targets[:, None] - shown, axis=-1).min(axis=1)
+
+
+def _rows(runs: Sequence[Run]) -> list[Row]:
+    """All of them, reaching first."""
+    robot, rows = load_robot(ROBOT), []
+    chosen = [run for run in runs if run.fingerprint == robot.fingerprint and _as_shown(run)]
+    for task in sorted({run.setting.task for run in chosen}, key=lambda task: (task != REACH, task)):
+        groups = grouped((run for run in chosen if run.setting.task == task), "space")
+        for space in TOLD:
+            for setting, group in groups.items():
+                cell = measure(seeds := at_home(group, space), "nominal", space=space)
+                if cell is None:
+                    continue
+                bins: list[tuple[int, Estimate | None]] = []
+                for low, high in pairwise(BOUNDS):
+                    found = [
+                        one.success[(low <= metres) & (metres < high)]
+                        for one in cell.episodes
+                        for metres in [distances(robot, space, len(one))]
+                    ]
+                    bins.append((len(found[0]), rate(found) if len(found[0]) else None))
+                rows.append(Row(task, space, setting, seeds, bins))
+    return rows
 
 
 def _as_shown(run: Run) -> bool:
