@@ -232,6 +232,7 @@ def harder(budget: Budget) -> Iterator[Cell]:
                 ("batd3", tuple(item for item in all_lent if item[0] != "self_imitation")),
                 ("batd3", task_lent),
                 ("td3wd", task_lent),
+                ("rbl", task_lent),
                 *((OURS, each) for each in HARDER_SWITCHES),
             ]
             for algorithm, switches in cells:
