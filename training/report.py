@@ -32,7 +32,7 @@ def report(
     from training.study.aggregate import aggregate
     from training.study.engines import differences
     from training.study.figures import curve_figures
-    from training.study.nearness import nearness, nearness_figures
+    from training.study.nearness import near_and_far, nearness, nearness_figures
     from training.study.page import beside_paper, missing, page
     from training.study.plant_figures import follow_figures, plant_figures
     from training.study.plants import check_axes
@@ -47,13 +47,14 @@ def report(
     check_axes(runs)
     _refuse_other_folder(out)
     wanted = _expected(runs)
+    rows = near_and_far(runs)
     paper, tables = (
         list(beside_paper(runs, wanted)),
-        [aggregate(runs), *all_tables(runs), nearness(runs), differences(runs), beside_demonstrator(runs)],
+        [aggregate(runs), *all_tables(runs), nearness(rows), differences(runs), beside_demonstrator(runs)],
     )
     with new_folder(out, force=True) as folder:
         figures = [*curve_figures(runs, folder), *variant_figures(runs, folder)]
-        figures += [*follow_figures(runs, folder), *nearness_figures(runs, folder), *plant_figures(runs, folder)]
+        figures += [*follow_figures(runs, folder), *nearness_figures(rows, folder), *plant_figures(runs, folder)]
         for table in (*paper, *tables):
             write_text(folder / f"{table.name}.csv", table.csv())
         write_text(folder / PAGE, page(runs, paper, tables, figures, wanted))

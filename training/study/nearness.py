@@ -43,9 +43,32 @@ class Row(NamedTuple):
     bins: list[tuple[int, Estimate | None]]
 
 
-def nearness(runs: Sequence[Run]) -> Table:
-    """Success on held-out targets near a demonstration and far from all, by task, in space and engine of training."""
-    rows = _rows(runs)
+def near_and_far(runs: Sequence[Run]) -> list[Row]:
+    """Success on held-out targets near a demonstration and far from all, in space and engine of training.
+
+    Reaching comes first. Only runs that saw the ten demonstrations, and are what their algorithm is by itself.
+    """
+    robot, rows = load_robot(ROBOT), []
+    chosen = [run for run in runs if run.fingerprint == robot.fingerprint and _as_shown(run)]
+    for task in sorted({run.setting.task for run in chosen}, key=lambda task: (task != REACH, task)):
+        groups = grouped((run for run in chosen if run.setting.task == task), "space")
+        for space in TOLD:
+            for setting, group in groups.items():
+                cell = measure(seeds := at_home(group, space), "nominal", space=space)
+                if cell is None:
+                    continue
+                bins: list[tuple[int, Estimate | None]] = []
+                far = [distances(robot, space, len(one)) for one in cell.episodes]
+                for low, high in pairwise(BOUNDS):
+                    inside = [(low <= metres) & (metres < high) for metres in far]
+                    found = [one.success[mask] for one, mask in zip(cell.episodes, inside, strict=True)]
+                    bins.append((len(found[0]), rate(found) if len(found[0]) else None))
+                rows.append(Row(task, space, setting, seeds, bins))
+    return rows
+
+
+def nearness(rows: Sequence[Row]) -> Table:
+    """The table of them."""
     values = [
         [
             row.task,
@@ -65,55 +88,57 @@ def nearness(runs: Sequence[Run]) -> Table:
     return Table("nearness", "Near a demonstration, and far from all", note + basis([*seen.values()]), head, values)
 
 
-def nearness_figures(runs: Sequence[Run], out: Path) -> Iterator[tuple[str, str]]:
-    """The same, drawn for each engine of training.
+def nearness_figures(rows: Sequence[Row], out: Path) -> Iterator[tuple[str, str]]:
+    """A figure of them for each engine of training; without ablations, and of the length that most runs have.
 
     Args:
-        runs: of the study.
+        rows: of the study.
         out: folder of the figures.
 
     Yields:
         The name of each file, and its caption.
     """
-    rows = [row for row in _rows(runs) if row.setting.algorithm not in ABLATIONS[1:]]
+    rows = [row for row in rows if row.setting.algorithm not in ABLATIONS[1:]]
     for engine in sorted({row.setting.backend for row in rows}):
         own = [row for row in rows if row.setting.backend == engine]
         lengths = Counter(row.setting.updates for row in own if row.setting.updates)
         usual = (0, *(length for length, _ in lengths.most_common(1)))
         own = [row for row in own if row.setting.updates in usual]
-        panels: dict[str, list[Row]] = {}
-        for row in own:
-            panels.setdefault(f"{row.task}, {SPACES[row.space]}", []).append(row)
-        columns = min(_COLUMNS, len(panels))
-        lines = -(-len(panels) // columns)
         file = f"nearness-{engine}.png"
-        with drawn(out / file, (3.1 * columns + 0.4, 2.6 * lines + 0.7), "constrained") as figure:
-            grid = figure.subplots(lines, columns, sharey=True, squeeze=False)
-            for axes in grid.flat[len(panels) :]:
-                axes.set_axis_off()
-            for axes, (title, some) in zip(grid.flat, panels.items(), strict=False):
-                for row in some:
-                    _, *line = zip(
-                        *[(i, i, e.value) for i, (_, e) in enumerate(row.bins) if e is not None], strict=True
-                    )
-                    style = {"ls": "--"} if row.setting.algorithm == JACOBIAN else {}
-                    color, name = COLORS[row.setting.algorithm], algorithm_title(row.setting.algorithm)
-                    axes.plot(*line, color=color, lw=1.6, marker="o", ms=3.5, label=name, **style)
-                sizes = [count for count, _ in some[0].bins]
-                labels = [f"{name}\n{count}" for name, count in zip(_TICKS, sizes, strict=True)]
-                axes.set_xticks(range(len(labels)), labels)
-                axes.set_title(title)
-                tidy(axes)
-            for axes in grid[:, 0]:
-                axes.set_ylabel("success")
-            for axes in grid.flat[max(0, len(panels) - columns) : len(panels)]:
-                axes.set_xlabel("mm to a demonstration; targets")
-            legend(figure, 5)
+        _draw(own, out / file)
         yield (
             file,
             f"Success by the distance from target to nearest demonstration, and how many targets are so far; trained in"
             f" {engine_title(engine)}, {amount((len(row.seeds) for row in own), 'seed')}. Dashed: the demonstrator.",
         )
+
+
+def _draw(rows: Sequence[Row], path: Path) -> None:
+    """A panel for each task and space."""
+    panels: dict[str, list[Row]] = {}
+    for row in rows:
+        panels.setdefault(f"{row.task}, {SPACES[row.space]}", []).append(row)
+    columns = min(_COLUMNS, len(panels))
+    lines = -(-len(panels) // columns)
+    with drawn(path, (3.1 * columns + 0.4, 2.6 * lines + 0.7), "constrained") as figure:
+        grid = figure.subplots(lines, columns, sharey=True, squeeze=False)
+        for axes in grid.flat[len(panels) :]:
+            axes.set_axis_off()
+        for axes, (title, some) in zip(grid.flat, panels.items(), strict=False):
+            for row in some:
+                points = [(i, found.value) for i, (_, found) in enumerate(row.bins) if found is not None]
+                style = "--" if row.setting.algorithm == JACOBIAN else "-"
+                color, name = COLORS[row.setting.algorithm], algorithm_title(row.setting.algorithm)
+                axes.plot(*np.transpose(points), ls=style, color=color, lw=1.6, marker="o", ms=3.5, label=name)
+            labels = [f"{name}\n{count}" for name, (count, _) in zip(_TICKS, some[0].bins, strict=True)]
+            axes.set_xticks(range(len(labels)), labels)
+            axes.set_title(title)
+            tidy(axes)
+        for axes in grid[:, 0]:
+            axes.set_ylabel("success")
+        for axes in grid.flat[max(0, len(panels) - columns) : len(panels)]:
+            axes.set_xlabel("mm to a demonstration; targets")
+        legend(figure, 5)
 
 
 def distances(robot: Robot, space: str, num: int) -> NDArray[np.float64]:
@@ -127,29 +152,6 @@ def distances(robot: Robot, space: str, num: int) -> NDArray[np.float64]:
     shown = demonstration_targets(robot, DEMONSTRATIONS)
     targets = make_space(space, robot, shown).sample(np.random.default_rng(TEST_SEED), num)
     return np.linalg.norm(targets[:, None] - shown, axis=-1).min(axis=1)
-
-
-def _rows(runs: Sequence[Run]) -> list[Row]:
-    """All of them, reaching first."""
-    robot, rows = load_robot(ROBOT), []
-    chosen = [run for run in runs if run.fingerprint == robot.fingerprint and _as_shown(run)]
-    for task in sorted({run.setting.task for run in chosen}, key=lambda task: (task != REACH, task)):
-        groups = grouped((run for run in chosen if run.setting.task == task), "space")
-        for space in TOLD:
-            for setting, group in groups.items():
-                cell = measure(seeds := at_home(group, space), "nominal", space=space)
-                if cell is None:
-                    continue
-                bins: list[tuple[int, Estimate | None]] = []
-                for low, high in pairwise(BOUNDS):
-                    found = [
-                        one.success[(low <= metres) & (metres < high)]
-                        for one in cell.episodes
-                        for metres in [distances(robot, space, len(one))]
-                    ]
-                    bins.append((len(found[0]), rate(found) if len(found[0]) else None))
-                rows.append(Row(task, space, setting, seeds, bins))
-    return rows
 
 
 def _as_shown(run: Run) -> bool:
