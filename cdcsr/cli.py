@@ -36,7 +36,9 @@ def _may_go_unread(function: Callable[_P, int]) -> Callable[_P, int]:
             try:
                 print(flush=True)
             except BrokenPipeError:
-                os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())  # Python flushes once more as it ends
+                os.dup2(
+                    os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno()
+                )  # Python flushes once more as it ends
                 return 141
             raise  # some other pipe
         return code

@@ -94,9 +94,13 @@ def new_folder(path: Path, force: bool) -> Iterator[Path]:
         if not place.is_dir():
             raise CdcsrError(f"{path} is a file; give the name of a folder.")
         if not force:
-            raise CdcsrError(f"{path} already exists; give another folder, or --force to replace it.")
+            raise CdcsrError(
+                f"{path} already exists; give another folder, or --force to replace it."
+            )
         if Path.cwd().is_relative_to(place):
-            raise CdcsrError(f"{path} holds the current folder and is not replaced; give another folder.")
+            raise CdcsrError(
+                f"{path} holds the current folder and is not replaced; give another folder."
+            )
     temporary = _beside(place)
     try:
         temporary.mkdir(parents=True)

@@ -7,7 +7,7 @@ from abc import ABC, abstractmethod
 import numpy as np
 from numpy.typing import NDArray
 
-from cdcsr.envs import ReachVectorEnv
+from cdcsr.envs.gym_env import ReachVectorEnv
 
 Array = NDArray[np.float64]
 

@@ -12,7 +12,7 @@ import gymnasium
 import numpy as np
 from numpy.typing import NDArray
 
-from cdcsr.envs import ReachVectorEnv
+from cdcsr.envs.gym_env import ReachVectorEnv
 from cdcsr.errors import CdcsrError
 from controllers.controller import Controller
 
@@ -85,7 +85,9 @@ class Rollout:
         )
 
 
-def record(controller: Controller, env: ReachVectorEnv, num: int, seed: int) -> tuple[list[Episode], int]:
+def record(
+    controller: Controller, env: ReachVectorEnv, num: int, seed: int
+) -> tuple[list[Episode], int]:
     """Record successful episodes of a controller; one that misses its target is drawn anew.
 
     Args:
@@ -138,12 +140,21 @@ def rollout(controller: Controller, env: ReachVectorEnv, observation: Array) -> 
         ended |= active & terminated
         active &= ~(terminated | truncated)
     return Rollout(
-        np.stack(observations, axis=1), np.stack(actions, axis=1), targets, np.stack(rewards, axis=1),
-        success, ended, length, distance, nearest,
-    )  # fmt: skip
+        np.stack(observations, axis=1),
+        np.stack(actions, axis=1),
+        targets,
+        np.stack(rewards, axis=1),
+        success,
+        ended,
+        length,
+        distance,
+        nearest,
+    )
 
 
-def save(folder: Path, episodes: list[Episode], env: ReachVectorEnv, controller: str, dataset_id: str) -> None:
+def save(
+    folder: Path, episodes: list[Episode], env: ReachVectorEnv, controller: str, dataset_id: str
+) -> None:
     """Write a Minari dataset (hdf5) into an existing, empty folder."""
     import minari
     from minari.data_collector import EpisodeBuffer
@@ -157,7 +168,9 @@ def save(folder: Path, episodes: list[Episode], env: ReachVectorEnv, controller:
         "space": env.space.name,
         "frame_skip": env.frame_skip,
     }
-    storage = MinariStorage.new(folder / "data", env.single_observation_space, env.single_action_space, spec)
+    storage = MinariStorage.new(
+        folder / "data", env.single_observation_space, env.single_action_space, spec
+    )
     storage.update_metadata(
         {
             "dataset_id": dataset_id,
@@ -188,7 +201,9 @@ def save(folder: Path, episodes: list[Episode], env: ReachVectorEnv, controller:
     storage.update_episodes(buffers)
 
 
-def load(folder: Path, robot_fingerprint: str, frame_skip: int = 1, task: str | None = None) -> list[Episode]:
+def load(
+    folder: Path, robot_fingerprint: str, frame_skip: int = 1, task: str | None = None
+) -> list[Episode]:
     """Read the episodes of a dataset written by :func:`save`; of any task, if none is given.
 
     Raises:
@@ -202,14 +217,18 @@ def load(folder: Path, robot_fingerprint: str, frame_skip: int = 1, task: str | 
         found = metadata["robot_fingerprint"], metadata["frame_skip"], metadata["task"]
         stored = list(dataset.iterate_episodes())
     except (OSError, KeyError, ValueError, AssertionError) as error:
-        raise CdcsrError(f"{folder} holds no demonstrations made by `cdcsr demonstrate`: {error}.") from None
+        raise CdcsrError(
+            f"{folder} holds no demonstrations made by `cdcsr demonstrate`: {error}."
+        ) from None
     if found[0] != robot_fingerprint:
         raise CdcsrError(
             f"The demonstrations in {folder} are of robot {metadata['robot']!r} ({found[0]}), not of the robot asked "
             f"for ({robot_fingerprint}); record new ones with `cdcsr demonstrate`."
         )
     if found[1] != frame_skip:
-        raise CdcsrError(f"The demonstrations in {folder} have frame_skip {found[1]}, not {frame_skip}.")
+        raise CdcsrError(
+            f"The demonstrations in {folder} have frame_skip {found[1]}, not {frame_skip}."
+        )
     if task is not None and found[2] != task:
         raise CdcsrError(
             f"The demonstrations in {folder} are of the task {found[2]!r}, not {task!r}; record some with "
@@ -217,8 +236,11 @@ def load(folder: Path, robot_fingerprint: str, frame_skip: int = 1, task: str | 
         )
     return [
         Episode(
-            np.asarray(e.observations), np.asarray(e.actions), np.asarray(e.observations)[0, 6:9],
-            np.asarray(e.rewards, dtype=np.float64), bool(np.asarray(e.terminations)[-1]),
+            np.asarray(e.observations),
+            np.asarray(e.actions),
+            np.asarray(e.observations)[0, 6:9],
+            np.asarray(e.rewards, dtype=np.float64),
+            bool(np.asarray(e.terminations)[-1]),
         )
         for e in stored
-    ]  # fmt: skip
+    ]

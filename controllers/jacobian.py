@@ -6,9 +6,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import lsq_linear, nnls
 
-from cdcsr.envs import ReachVectorEnv
-from cdcsr.robot import Robot
-from cdcsr.simulation import Dynamics
+from cdcsr.envs.gym_env import ReachVectorEnv
+from cdcsr.robot.description import Robot
+from cdcsr.simulation.contract import Dynamics
 from controllers.controller import Controller
 
 Array = NDArray[np.float64]
@@ -59,7 +59,7 @@ class JacobianController(Controller):
         self._servo_gain = np.array([servo.gain for servo in robot.servos])
         self._eta = np.array([servo.eta for servo in robot.servos])
 
-    def act(self, env: ReachVectorEnv, observation: Array, active: NDArray[np.bool_]) -> Array:  # noqa: ARG002
+    def act(self, env: ReachVectorEnv, observation: Array, active: NDArray[np.bool_]) -> Array:
         ids = np.flatnonzero(active)
         state = env.simulation.state()
         command = np.zeros((env.num_envs, len(self._eta)))
@@ -67,7 +67,9 @@ class JacobianController(Controller):
             return command
         error = env.targets[ids] - state.tip_position[ids]
         wish = self.gain * error
-        wish *= np.minimum(1, self.speed / np.maximum(np.linalg.norm(wish, axis=1, keepdims=True), 1e-12))
+        wish *= np.minimum(
+            1, self.speed / np.maximum(np.linalg.norm(wish, axis=1, keepdims=True), 1e-12)
+        )
         wish += env.target_velocity[ids]
         period = env.robot.time_step * env.frame_skip
         dynamics = env.simulation.dynamics(ids)
@@ -89,7 +91,9 @@ class JacobianController(Controller):
         tip = dynamics.tip_jacobian[:, :, self._without_sliders]
         # One solve for the tip's three rows serves both the force and all cables: (M~)^-1 J^T, M~ symmetric.
         response = np.linalg.solve(implicit, tip.swapaxes(1, 2))
-        offset = np.einsum("nij,nj->ni", tip, rate) + period * np.einsum("nji,nj->ni", response, force)
+        offset = np.einsum("nij,nj->ni", tip, rate) + period * np.einsum(
+            "nji,nj->ni", response, force
+        )
         return offset, -period * np.einsum("nji,ncj->nic", response, cables)
 
     def _predict_hinges(self, dynamics: Dynamics, period: float) -> tuple[Array, Array]:
@@ -103,7 +107,9 @@ class JacobianController(Controller):
         """M + h D + h^2 K, f, qd and L of base and hinges."""
         keep = self._without_sliders
         rate = dynamics.velocity[:, keep]
-        force = (dynamics.passive_force - dynamics.bias_force)[:, keep] - period * self._stiffness * rate
+        force = (dynamics.passive_force - dynamics.bias_force)[
+            :, keep
+        ] - period * self._stiffness * rate
         implicit = dynamics.mass_matrix[:, keep[:, None], keep]
         implicit = implicit + np.diag(period * self._damping + period**2 * self._stiffness)
         return implicit, force, rate, dynamics.cable_jacobian[:, :, keep]

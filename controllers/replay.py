@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from cdcsr.robot import Robot
-from cdcsr.simulation import make_simulation
+from cdcsr.robot.description import Robot
+from cdcsr.simulation.engines import make_simulation
 from controllers.demonstrations import Episode
 
 Array = NDArray[np.float64]

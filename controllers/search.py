@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from cdcsr.envs import ReachVectorEnv
+from cdcsr.envs.gym_env import ReachVectorEnv
 from controllers.controller import Controller
 from controllers.demonstrations import Rollout, rollout
 
@@ -129,4 +129,6 @@ def _eta(env: ReachVectorEnv) -> Array:
 
 
 def _outcome(result: Rollout) -> Outcome:
-    return Outcome(float(result.success.mean()), float(result.length.mean()), float(np.median(result.nearest)))
+    return Outcome(
+        float(result.success.mean()), float(result.length.mean()), float(np.median(result.nearest))
+    )

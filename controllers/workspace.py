@@ -9,11 +9,11 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from cdcsr.envs import TaskVectorEnv
+from cdcsr.envs.gym_env import TaskVectorEnv
 from cdcsr.errors import CdcsrError
 from cdcsr.files import write_bytes
-from cdcsr.robot import Robot
-from cdcsr.workspaces import Workspace, cells_between
+from cdcsr.robot.description import Robot
+from cdcsr.tasks.workspace_map import Workspace, cells_between
 from controllers.demonstrations import rollout
 from controllers.jacobian import JacobianController
 
@@ -25,7 +25,11 @@ _NEIGHBOURS = np.concatenate([np.eye(3, dtype=np.int64), -np.eye(3, dtype=np.int
 
 
 def compute_workspace(
-    robot: Robot, backend: str, spacing: float, frame_skip: int, progress: Callable[[int, int], None] = lambda *_: None
+    robot: Robot,
+    backend: str,
+    spacing: float,
+    frame_skip: int,
+    progress: Callable[[int, int], None] = lambda *_: None,
 ) -> Workspace:
     """Try the points of a grid through the middle of the robot's Anchor Space, spreading from those reached.
 
@@ -49,7 +53,9 @@ def compute_workspace(
     tried = 0
     while waiting:
         batch, waiting = waiting[:BATCH], waiting[BATCH:]
-        env = TaskVectorEnv(len(batch), robot, backend, frame_skip=frame_skip, autoreset_mode="Disabled")
+        env = TaskVectorEnv(
+            len(batch), robot, backend, frame_skip=frame_skip, autoreset_mode="Disabled"
+        )
         try:
             observation, _ = env.reset(options={"targets": middle + spacing * np.array(batch)})
             success = rollout(controller, env, observation).success
@@ -88,9 +94,12 @@ def draw_workspace(workspace: Workspace, robot: Robot, path: Path) -> None:
         low = workspace.origin + lowest * workspace.edges
         high = low + size * workspace.edges
         image = ax.imshow(
-            np.where(counts > 0, counts, np.nan), origin="lower", cmap="viridis_r", aspect="equal",
+            np.where(counts > 0, counts, np.nan),
+            origin="lower",
+            cmap="viridis_r",
+            aspect="equal",
             extent=(low[across], high[across], low[up], high[up]),
-        )  # fmt: skip
+        )
         margin = 0.1
         if up == 2:
             ax.plot([0, 0], [robot.top, robot.top + robot.arm_length], color="black", lw=2)
@@ -103,7 +112,9 @@ def draw_workspace(workspace: Workspace, robot: Robot, path: Path) -> None:
         ax.set_ylabel(f"{'xyz'[up]} [m]")
         figure.colorbar(image, ax=ax, label=f"cells along {'xyz'[along]}", shrink=0.8)
     cells = f"{len(workspace.cells)} cells reached"
-    figure.suptitle(f"Workspace of {robot.name}: {cells}; the straight arm in black, the Anchor Space in red")
+    figure.suptitle(
+        f"Workspace of {robot.name}: {cells}; the straight arm in black, the Anchor Space in red"
+    )
     data = io.BytesIO()
     figure.savefig(data, format="png", dpi=110)
     write_bytes(path, data.getvalue())

@@ -9,7 +9,7 @@ from cdcsr.cli import run
 
 def main() -> int:
     """Train a policy from the command line."""
-    from training.config import Train
+    from training.config.run_config import Train
 
     return run(Train, "training", sys.argv[1:])
 

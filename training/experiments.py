@@ -47,8 +47,8 @@ def experiments(
     """
     from cdcsr.errors import CdcsrError, CheckFailed, unknown_choice
     from cdcsr.files import write_json
-    from training.study.grid import BUDGETS, EXPERIMENTS, collect
-    from training.study.jobs import Job
+    from training.study.declare.grid import BUDGETS, EXPERIMENTS, collect
+    from training.study.execute.jobs import Job
 
     if not names and not list:
         raise CdcsrError(f"No experiment is given; name some of: {', '.join(EXPERIMENTS)}; or all.")
@@ -59,7 +59,9 @@ def experiments(
             raise CdcsrError(unknown_choice("experiment", name, (*EXPERIMENTS, "all")))
     chosen = [*EXPERIMENTS] if not names or "all" in names else names
     if jobs is not None and executor == "ray":
-        raise CdcsrError("--jobs is for this machine; a Ray cluster has as many runs side by side as processors.")
+        raise CdcsrError(
+            "--jobs is for this machine; a Ray cluster has as many runs side by side as processors."
+        )
     amounts = BUDGETS[budget]
     wanted = [
         Job(spec, evaluations, amounts)
@@ -70,7 +72,9 @@ def experiments(
         _show(chosen, wanted, amounts, results, named=bool(names))
         return
     if not wanted:
-        raise CdcsrError(f"No run of {', '.join(chosen)} fits the pattern {only!r}; --list shows their names.")
+        raise CdcsrError(
+            f"No run of {', '.join(chosen)} fits the pattern {only!r}; --list shows their names."
+        )
     if not resume and (begun := [job.name for job in wanted if job.is_begun(runs)]):
         raise CdcsrError(
             f"{len(begun)} runs in {runs} were begun and not finished, the first is {begun[0]}; "
@@ -83,25 +87,33 @@ def experiments(
                 f"delete it and {runs / job.name} to have it made again, or give other folders (--results, --runs)."
             )
     if executor == "ray":
-        from training.study.ray_executor import carry_out_on_ray
+        from training.study.execute.ray_executor import carry_out_on_ray
 
         outcome = carry_out_on_ray(wanted, runs, results, address)
     else:
-        from training.study.local import carry_out_here
+        from training.study.execute.local import carry_out_here
 
-        outcome = carry_out_here(wanted, runs, results, (os.cpu_count() or 1) if jobs is None else jobs)
-    print(f"{len(outcome.finished)} runs finished, {len(outcome.skipped)} done before, {len(outcome.failed)} failed")
+        outcome = carry_out_here(
+            wanted, runs, results, (os.cpu_count() or 1) if jobs is None else jobs
+        )
+    print(
+        f"{len(outcome.finished)} runs finished, {len(outcome.skipped)} done before, {len(outcome.failed)} failed"
+    )
     if json is not None:
         write_json(json, {"experiments": chosen, "budget": budget, **vars(outcome)})
     if outcome.failed:
         name, why = next(iter(outcome.failed.items()))
-        raise CheckFailed(f"{len(outcome.failed)} of {len(wanted)} runs failed, first: {name}: {why}")
+        raise CheckFailed(
+            f"{len(outcome.failed)} of {len(wanted)} runs failed, first: {name}: {why}"
+        )
 
 
-def _show(chosen: Sequence[str], wanted: list[Any], budget: Any, results: Path, named: bool) -> None:
+def _show(
+    chosen: Sequence[str], wanted: list[Any], budget: Any, results: Path, named: bool
+) -> None:
     """Print the experiments, or the runs of those that were named."""
-    from training.study.grid import collect, summary
-    from training.study.jobs import Job
+    from training.study.declare.grid import collect, summary
+    from training.study.execute.jobs import Job
 
     for name in chosen:
         cells = collect([name], budget)

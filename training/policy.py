@@ -16,12 +16,12 @@ from numpy.typing import NDArray
 from safetensors import SafetensorError
 from safetensors.torch import load_file, save
 
-from cdcsr.envs import ReachVectorEnv
+from cdcsr.envs.gym_env import ReachVectorEnv
 from cdcsr.errors import CdcsrError, unknown_choice
 from cdcsr.files import write_bytes, write_json
-from cdcsr.robot import Robot, parse_robot
+from cdcsr.robot.description import Robot, parse_robot
 from controllers.controller import Controller
-from training.networks import Activation, Actor
+from training.networks.actor_critic import Activation, Actor
 
 Array = NDArray[np.float64]
 
@@ -63,11 +63,15 @@ class Policy(Controller):
     def _weights(self) -> dict[str, torch.Tensor]:
         return {name: tensor.contiguous() for name, tensor in self.actor.state_dict().items()}
 
-    def act(self, env: ReachVectorEnv, observation: Array, active: NDArray[np.bool_]) -> Array:  # noqa: ARG002
+    def act(self, env: ReachVectorEnv, observation: Array, active: NDArray[np.bool_]) -> Array:
         if env.robot is not self._checked:
             self._check(env.robot)
         with torch.no_grad():
-            return self.actor.command(torch.as_tensor(observation, dtype=torch.float32)).numpy().astype(np.float64)
+            return (
+                self.actor.command(torch.as_tensor(observation, dtype=torch.float32))
+                .numpy()
+                .astype(np.float64)
+            )
 
     def on(self, plant: Robot) -> Policy:
         """This policy, made to act on one robot that it is not for. It goes on refusing all others.
@@ -75,9 +79,14 @@ class Policy(Controller):
         Raises:
             CdcsrError: that robot has other links or cables.
         """
-        ours, theirs = ([(s.links, s.cables.angles_deg) for s in robot.segments] for robot in (self.robot, plant))
+        ours, theirs = (
+            [(s.links, s.cables.angles_deg) for s in robot.segments]
+            for robot in (self.robot, plant)
+        )
         if ours != theirs:
-            raise CdcsrError(f"The policy {self.name!r} cannot act on {plant.name!r}: its links or cables are others.")
+            raise CdcsrError(
+                f"The policy {self.name!r} cannot act on {plant.name!r}: its links or cables are others."
+            )
         twin = copy(self)
         twin._checked = plant
         return twin
@@ -102,7 +111,9 @@ class Policy(Controller):
             "centers": self.centers.tolist(),
             "network": {
                 "with_error": actor.encoder.with_error,
-                "hidden": [layer.out_features for layer in actor.net if isinstance(layer, torch.nn.Linear)][:-1],
+                "hidden": [
+                    layer.out_features for layer in actor.net if isinstance(layer, torch.nn.Linear)
+                ][:-1],
                 "activation": "tanh" if isinstance(actor.net[1], torch.nn.Tanh) else "relu",
             },
             "versions": versions(),
@@ -123,17 +134,29 @@ def load_policy(folder: Path) -> Policy:
         CdcsrError: there is no policy, or its files are damaged or do not belong together.
     """
     if not (folder / _CARD).is_file() or not (folder / _WEIGHTS).is_file():
-        raise CdcsrError(f"{folder} holds no policy: {_CARD} and {_WEIGHTS} are needed (made by `cdcsr train`).")
+        raise CdcsrError(
+            f"{folder} holds no policy: {_CARD} and {_WEIGHTS} are needed (made by `cdcsr train`)."
+        )
     try:
         card = json.loads((folder / _CARD).read_text("utf-8"))
         if card["format"] not in _FORMATS.values():
-            raise CdcsrError(f"{folder / _CARD} has format {card['format']}; this version reads formats 1 and 2.")
+            raise CdcsrError(
+                f"{folder / _CARD} has format {card['format']}; this version reads formats 1 and 2."
+            )
         robot = parse_robot(card["robot_description"], str(folder / _CARD))
         if robot.fingerprint != card["robot_fingerprint"]:
-            raise CdcsrError(f"{folder / _CARD}: the robot's description does not match its fingerprint.")
+            raise CdcsrError(
+                f"{folder / _CARD}: the robot's description does not match its fingerprint."
+            )
         network = card["network"]
         symmetry = card["format"] == _FORMATS[True]
-        actor = Actor(robot, bool(network["with_error"]), tuple(network["hidden"]), network["activation"], symmetry)
+        actor = Actor(
+            robot,
+            bool(network["with_error"]),
+            tuple(network["hidden"]),
+            network["activation"],
+            symmetry,
+        )
         actor.load_state_dict(load_file(folder / _WEIGHTS))
         centers = np.array(card["centers"], dtype=np.float64).reshape(-1, 3)
         if not len(centers) or not np.isfinite(centers).all():
@@ -143,7 +166,15 @@ def load_policy(folder: Path) -> Policy:
         _ = str(card["space"]), str(card["backend"])
         policy = Policy(actor, robot, centers, card)
         _ = policy.frame_skip
-    except (OSError, ValueError, KeyError, TypeError, AttributeError, RuntimeError, SafetensorError) as error:
+    except (
+        OSError,
+        ValueError,
+        KeyError,
+        TypeError,
+        AttributeError,
+        RuntimeError,
+        SafetensorError,
+    ) as error:
         reason = str(error).split("\n")[0]
         raise CdcsrError(
             f"The policy in {folder} is damaged ({type(error).__name__}: {reason}); copy or train it anew."
@@ -162,6 +193,12 @@ def find_policy(name: str) -> Policy:
     if not Path(name).exists() and (shipped / name / _CARD).is_file():
         return load_policy(shipped / name)
     if not Path(name).exists():
-        names = [path.name for path in shipped.iterdir() if (path / _CARD).is_file()] if shipped.is_dir() else []
-        raise CdcsrError(unknown_choice("policy", name, names) + " Or give the folder of a policy or a run.")
+        names = (
+            [path.name for path in shipped.iterdir() if (path / _CARD).is_file()]
+            if shipped.is_dir()
+            else []
+        )
+        raise CdcsrError(
+            unknown_choice("policy", name, names) + " Or give the folder of a policy or a run."
+        )
     return load_policy(Path(name))

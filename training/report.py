@@ -13,14 +13,17 @@ from cdcsr.errors import CdcsrError
 from cdcsr.files import new_folder, write_json, write_text
 
 if TYPE_CHECKING:
-    from training.study.page import Expected
-    from training.study.records import Run
+    from training.study.report.page import Expected
+    from training.study.report.records import Run
 
 PAGE = "README.md"
 
 
 def report(
-    *, results: Path = Path("results/study"), out: Path = Path("results/report"), json: Path | None = None
+    *,
+    results: Path = Path("results/study"),
+    out: Path = Path("results/report"),
+    json: Path | None = None,
 ) -> None:
     """Rebuild every table and figure of the study from its committed results; no engine runs, nothing is trained.
 
@@ -29,48 +32,65 @@ def report(
         out: folder of the report; one that is there already is replaced.
         json: also write all tables to this file.
     """
-    from training.study.aggregate import aggregate
-    from training.study.engines import differences
-    from training.study.figures import curve_figures
-    from training.study.nearness import near_and_far, nearness, nearness_figures
-    from training.study.page import beside_paper, missing, page
-    from training.study.plant_figures import follow_figures, plant_figures
-    from training.study.plants import check_axes
-    from training.study.reachable import beside_demonstrator
-    from training.study.records import load_study
-    from training.study.tables import all_tables
-    from training.study.variant_figures import variant_figures
+    from training.study.report.aggregate import aggregate
+    from training.study.report.engine_differences import differences
+    from training.study.report.learning_curves import curve_figures
+    from training.study.report.nearness import near_and_far, nearness, nearness_figures
+    from training.study.report.page import beside_paper, missing, page
+    from training.study.report.plant_plots import follow_figures, plant_figures
+    from training.study.report.plant_sweeps import check_axes
+    from training.study.report.reachable import beside_demonstrator
+    from training.study.report.records import load_study
+    from training.study.report.tables import all_tables
+    from training.study.report.variant_plots import variant_figures
 
     runs = load_study(results)
     if not runs:
-        raise CdcsrError(f"{results} holds no finished run; make some with `python -m training.experiments`.")
+        raise CdcsrError(
+            f"{results} holds no finished run; make some with `python -m training.experiments`."
+        )
     check_axes(runs)
     _refuse_other_folder(out)
     wanted = _expected(runs)
     rows = near_and_far(runs)
     paper, tables = (
         list(beside_paper(runs, wanted)),
-        [aggregate(runs), *all_tables(runs), nearness(rows), differences(runs), beside_demonstrator(runs)],
+        [
+            aggregate(runs),
+            *all_tables(runs),
+            nearness(rows),
+            differences(runs),
+            beside_demonstrator(runs),
+        ],
     )
     with new_folder(out, force=True) as folder:
         figures = [*curve_figures(runs, folder), *variant_figures(runs, folder)]
-        figures += [*follow_figures(runs, folder), *nearness_figures(rows, folder), *plant_figures(runs, folder)]
+        figures += [
+            *follow_figures(runs, folder),
+            *nearness_figures(rows, folder),
+            *plant_figures(runs, folder),
+        ]
         for table in (*paper, *tables):
             write_text(folder / f"{table.name}.csv", table.csv())
         write_text(folder / PAGE, page(runs, paper, tables, figures, wanted))
     if json is not None:
-        write_json(json, {
-            "runs": [one.name for one in runs],
-            "tables": {table.name: table.as_dict() for table in (*paper, *tables)},
-            "figures": dict(figures),
-            "not_run": None if wanted is None else missing(runs, wanted),
-        })  # fmt: skip
-    print(f"{out / PAGE}: {len(runs)} runs, {len(paper) + len(tables)} tables, {len(figures)} figures")
+        write_json(
+            json,
+            {
+                "runs": [one.name for one in runs],
+                "tables": {table.name: table.as_dict() for table in (*paper, *tables)},
+                "figures": dict(figures),
+                "not_run": None if wanted is None else missing(runs, wanted),
+            },
+        )
+    print(
+        f"{out / PAGE}: {len(runs)} runs, {len(paper) + len(tables)} tables, {len(figures)} figures"
+    )
 
 
 def _expected(runs: Sequence[Run]) -> Expected | None:
     """The runs each experiment has in the budget that most runs have been made with; None if it is unknown."""
-    from training.study.grid import BUDGETS, expected
+    from training.study.declare.grid import BUDGETS, expected
 
     (budget, _), *_ = Counter(one.budget for one in runs).most_common()
     return expected(BUDGETS[budget]) if budget in BUDGETS else None
@@ -82,12 +102,14 @@ def _refuse_other_folder(out: Path) -> None:
     Raises:
         CdcsrError: the folder holds something else.
     """
-    from training.study.page import TITLE
+    from training.study.report.page import TITLE
 
     if out.is_dir() and any(out.iterdir()):
         place = out / PAGE
         if not place.is_file() or not place.read_text("utf-8", errors="replace").startswith(TITLE):
-            raise CdcsrError(f"{out} holds something that is no report; give another folder with --out.")
+            raise CdcsrError(
+                f"{out} holds something that is no report; give another folder with --out."
+            )
 
 
 def main() -> int:

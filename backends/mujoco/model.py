@@ -1,7 +1,7 @@
 """Robot -> MuJoCo model, through MjSpec. Cables are spatial tendons that may not exceed their rest length.
 
 In stock MuJoCo, as in the model files and the viewers, that is a limit. The simulation replaces it by the equalities
-that are switched off here: see :mod:`backends.mujoco.cables`.
+that are switched off here: see :mod:`backends.mujoco.active_cables`.
 """
 
 from __future__ import annotations
@@ -11,8 +11,8 @@ from collections.abc import Mapping
 import mujoco
 import numpy as np
 
-from cdcsr.cables import Routing, routing
-from cdcsr.robot import Robot, Segment
+from cdcsr.robot.description import Robot, Segment
+from cdcsr.robot.routing import Routing, routing
 
 _INTEGRATORS = {
     "implicitfast": mujoco.mjtIntegrator.mjINT_IMPLICITFAST,
@@ -24,7 +24,12 @@ _TOUCH = 1e-9
 (in [m]), so that the first pull acts on the arm and not on a free slider for one step."""
 _RIGID = 0.9999
 """MuJoCo's largest impedance."""
-_GREY, _STEEL, _CABLE, _RED = (0.75, 0.76, 0.8, 1), (0.45, 0.5, 0.58, 1), (0.9, 0.55, 0.1, 1), (0.85, 0.2, 0.2, 1)
+_GREY, _STEEL, _CABLE, _RED = (
+    (0.75, 0.76, 0.8, 1),
+    (0.45, 0.5, 0.58, 1),
+    (0.9, 0.55, 0.1, 1),
+    (0.85, 0.2, 0.2, 1),
+)
 
 
 def build_spec(robot: Robot, meshes: Mapping[str, str] | None = None) -> mujoco.MjSpec:
@@ -44,7 +49,11 @@ def build_spec(robot: Robot, meshes: Mapping[str, str] | None = None) -> mujoco.
     for part, file in (meshes or {}).items():
         spec.add_mesh(name=part, file=file)
     base = spec.worldbody.add_body(
-        name="base", mass=robot.base.mass, inertia=robot.base.inertia, ipos=[0, 0, 0], explicitinertial=True
+        name="base",
+        mass=robot.base.mass,
+        inertia=robot.base.inertia,
+        ipos=[0, 0, 0],
+        explicitinertial=True,
     )
     base.add_freejoint(name="base")
     _draw(base, meshes, "base", mujoco.mjtGeom.mjGEOM_BOX, [s / 2 for s in robot.base.size], _GREY)
@@ -71,9 +80,13 @@ def _set_options(spec: mujoco.MjSpec, robot: Robot) -> None:
     option.timestep = robot.time_step
     option.gravity = [0, 0, 0]
     option.integrator = _INTEGRATORS[robot.mujoco.integrator]
-    option.solver = mujoco.mjtSolver.mjSOL_PGS  # few constraints, many coordinates: cheaper here than Newton, as exact
+    option.solver = (
+        mujoco.mjtSolver.mjSOL_PGS
+    )  # few constraints, many coordinates: cheaper here than Newton, as exact
     # Nothing collides. An automatic reset would hide divergence, which must be an error instead.
-    option.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_CONTACT) | int(mujoco.mjtDisableBit.mjDSBL_AUTORESET)
+    option.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_CONTACT) | int(
+        mujoco.mjtDisableBit.mjDSBL_AUTORESET
+    )
 
 
 def _draw(
@@ -93,8 +106,12 @@ def _draw(
         body.add_geom(type=shape, size=[*size, 0, 0][:3], pos=pos, **looks)
 
 
-def _add_sliders(base: mujoco.MjsBody, robot: Robot, route: Routing, meshes: Mapping[str, str] | None) -> None:
-    parts = [f"slider_{s}" for s, segment in enumerate(robot.segments) for _ in segment.cables.angles_deg]
+def _add_sliders(
+    base: mujoco.MjsBody, robot: Robot, route: Routing, meshes: Mapping[str, str] | None
+) -> None:
+    parts = [
+        f"slider_{s}" for s, segment in enumerate(robot.segments) for _ in segment.cables.angles_deg
+    ]
     for c, servo in enumerate(robot.servos):
         height = robot.top - route.guide_offset[c] - route.slider_offset[c]
         slider = base.add_body(
@@ -105,16 +122,25 @@ def _add_sliders(base: mujoco.MjsBody, robot: Robot, route: Routing, meshes: Map
             ipos=[0, 0, 0],  # left out, it would become the body's position
             explicitinertial=True,
         )
-        slider.add_joint(name=f"slide_{c}", type=mujoco.mjtJoint.mjJNT_SLIDE, axis=[0, 0, 1], damping=servo.damping)
+        slider.add_joint(
+            name=f"slide_{c}",
+            type=mujoco.mjtJoint.mjJNT_SLIDE,
+            axis=[0, 0, 1],
+            damping=servo.damping,
+        )
         slider.add_site(name=f"pull_{c}", size=[0.002, 0, 0])
         _draw(slider, meshes, parts[c], mujoco.mjtGeom.mjGEOM_SPHERE, [servo.radius], _STEEL)
 
 
-def _add_arm(base: mujoco.MjsBody, robot: Robot, route: Routing, meshes: Mapping[str, str] | None) -> list[list[str]]:
+def _add_arm(
+    base: mujoco.MjsBody, robot: Robot, route: Routing, meshes: Mapping[str, str] | None
+) -> list[list[str]]:
     """The links with their guides; returns the names of each cable's guides, base to anchor."""
     guides: list[list[str]] = [[] for _ in robot.servos]
 
-    def add_guides(body: mujoco.MjsBody, cables: list[int], label: str, heights: list[float]) -> None:
+    def add_guides(
+        body: mujoco.MjsBody, cables: list[int], label: str, heights: list[float]
+    ) -> None:
         for c, z in zip(cables, heights, strict=True):
             name = f"guide_{c}_{label}"
             body.add_site(name=name, pos=[*route.place[c], z], size=[0.002, 0, 0])
@@ -128,11 +154,20 @@ def _add_arm(base: mujoco.MjsBody, robot: Robot, route: Routing, meshes: Mapping
         for _ in range(segment.links):
             body = _add_link(body, segment, j, joint_at)
             link = segment.link
-            _draw(body, meshes, f"link_{s}", mujoco.mjtGeom.mjGEOM_CYLINDER, [link.radius, link.length / 2], _GREY,
-                  (0, 0, link.length / 2))  # fmt: skip
+            _draw(
+                body,
+                meshes,
+                f"link_{s}",
+                mujoco.mjtGeom.mjGEOM_CYLINDER,
+                [link.radius, link.length / 2],
+                _GREY,
+                (0, 0, link.length / 2),
+            )
             passing = [c for c in everyone if route.joints[c] > j]
             add_guides(body, passing, f"{j}_low", [route.guide_offset[c] for c in passing])
-            add_guides(body, passing, f"{j}_high", [link.length - route.guide_offset[c] for c in passing])
+            add_guides(
+                body, passing, f"{j}_high", [link.length - route.guide_offset[c] for c in passing]
+            )
             joint_at = link.length
             j += 1
     body.add_site(name="tip", pos=[0, 0, joint_at], size=[0.01, 0, 0], rgba=_RED)
@@ -204,8 +239,12 @@ def _add_sensors(spec: mujoco.MjSpec) -> None:
     """What State needs and qpos and qvel do not give, in the order simulation.py reads it."""
     sensor, site, body = mujoco.mjtSensor, mujoco.mjtObj.mjOBJ_SITE, mujoco.mjtObj.mjOBJ_XBODY
     spec.add_sensor(name="tip_position", type=sensor.mjSENS_FRAMEPOS, objtype=site, objname="tip")
-    spec.add_sensor(name="tip_velocity", type=sensor.mjSENS_FRAMELINVEL, objtype=site, objname="tip")
-    spec.add_sensor(name="base_angular_velocity", type=sensor.mjSENS_FRAMEANGVEL, objtype=body, objname="base")
+    spec.add_sensor(
+        name="tip_velocity", type=sensor.mjSENS_FRAMELINVEL, objtype=site, objname="tip"
+    )
+    spec.add_sensor(
+        name="base_angular_velocity", type=sensor.mjSENS_FRAMEANGVEL, objtype=body, objname="base"
+    )
 
 
 def _add_scenery(spec: mujoco.MjSpec, robot: Robot) -> None:
@@ -214,6 +253,8 @@ def _add_scenery(spec: mujoco.MjSpec, robot: Robot) -> None:
     spec.stat.center = [0, 0, middle]
     spec.stat.extent = float(np.hypot(robot.arm_length, robot.base.size[0]))
     spec.worldbody.add_light(
-        pos=[2, -3, robot.arm_length + 2], dir=[-0.4, 0.6, -0.7], type=mujoco.mjtLightType.mjLIGHT_DIRECTIONAL
+        pos=[2, -3, robot.arm_length + 2],
+        dir=[-0.4, 0.6, -0.7],
+        type=mujoco.mjtLightType.mjLIGHT_DIRECTIONAL,
     )
     spec.visual.headlight.ambient = [0.4, 0.4, 0.4]

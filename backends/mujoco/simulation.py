@@ -7,13 +7,15 @@ import numpy as np
 from mujoco import batch
 from numpy.typing import NDArray
 
-from backends.mujoco.cables import CURRENT, Cables, Limits, stepping_spec
+from backends.mujoco.active_cables import CURRENT, Cables, Limits, stepping_spec
+from backends.mujoco.copies import write_plant
 from backends.mujoco.model import build_spec, use_own_softness
-from backends.mujoco.plants import write_plant
 from cdcsr.errors import CdcsrError, Diverged
-from cdcsr.parameters import Plant
-from cdcsr.robot import Robot
-from cdcsr.simulation import CAMERAS, Array, Dynamics, Ids, Simulation, Snapshot, State, processors, rotation_matrix
+from cdcsr.robot.description import Robot
+from cdcsr.simulation.contract import CAMERAS, Array, Dynamics, Ids, Simulation, Snapshot, State
+from cdcsr.simulation.engines import processors
+from cdcsr.simulation.plant import Plant
+from cdcsr.simulation.rotations import rotation_matrix
 
 _WHOLE_STATE = int(mujoco.mjtState.mjSTATE_INTEGRATION)
 """What a row of a batch's state holds."""
@@ -22,7 +24,7 @@ _SPEED_LIMIT = 1e4
 
 
 class MujocoSimulation(Simulation):
-    """See :class:`cdcsr.simulation.Simulation`.
+    """See :class:`cdcsr.simulation.contract.Simulation`.
 
     Args:
         robot: the description.
@@ -92,7 +94,9 @@ class MujocoSimulation(Simulation):
         if not np.abs(self._qvel).max() < _SPEED_LIMIT:
             speed = np.abs(self._qvel).max(axis=1)
             copy = int(np.flatnonzero(~(speed < _SPEED_LIMIT))[0])
-            raise Diverged(self.engine, copy, float(self._time[copy]), f"a speed of {speed[copy]:.3g}")
+            raise Diverged(
+                self.engine, copy, float(self._time[copy]), f"a speed of {speed[copy]:.3g}"
+            )
 
     def state(self) -> State:
         num_cables = self._ctrl.shape[1]
@@ -116,7 +120,14 @@ class MujocoSimulation(Simulation):
         velocity = self._qvel.copy()
         velocity[:, 3:6] = self._sensors[:, 6:9]  # MuJoCo's own is in the base frame
         private = np.concatenate([self.batch.state, self._cables.tension], axis=1)
-        return Snapshot(self.engine, self.robot.fingerprint, self._time.copy(), self._qpos.copy(), velocity, private)
+        return Snapshot(
+            self.engine,
+            self.robot.fingerprint,
+            self._time.copy(),
+            self._qpos.copy(),
+            velocity,
+            private,
+        )
 
     def _set_snapshot(self, snapshot: Snapshot) -> None:
         if snapshot.engine == self.engine:
@@ -125,7 +136,11 @@ class MujocoSimulation(Simulation):
             self._cables.tension[:] = snapshot.private[:, size:]
         else:
             self.batch.reset(stage=int(mujoco.mjtStage.mjSTAGE_NONE))
-            self._time[:], self._qpos[:], self._qvel[:] = snapshot.time, snapshot.position, snapshot.velocity
+            self._time[:], self._qpos[:], self._qvel[:] = (
+                snapshot.time,
+                snapshot.position,
+                snapshot.velocity,
+            )
             to_body = rotation_matrix(snapshot.position[:, 3:7]).swapaxes(1, 2)
             self._qvel[:, 3:6] = np.einsum("nij,nj->ni", to_body, snapshot.velocity[:, 3:6])
             self._cables.tension[:] = 0
@@ -143,7 +158,12 @@ class MujocoSimulation(Simulation):
     def dynamics(self, ids: Ids = None) -> Dynamics:
         """The equation of motion, from MuJoCo's own model."""
         chosen = np.arange(self.num) if ids is None else np.asarray(ids)
-        model, data, nv, num_cables = self.model, self._scratch, self.model.nv, self.robot.num_cables
+        model, data, nv, num_cables = (
+            self.model,
+            self._scratch,
+            self.model.nv,
+            self.robot.num_cables,
+        )
         own = self._own_model
         mass, tip = np.zeros((len(chosen), nv, nv)), np.zeros((len(chosen), 3, nv))
         bias, passive = np.zeros((2, len(chosen), nv))
@@ -157,7 +177,9 @@ class MujocoSimulation(Simulation):
             mujoco.mj_fwdPosition(model, data)
             mujoco.mj_fwdVelocity(model, data)
             mujoco.mj_fullM(model, data, mass[i])
-            mass[i, diagonal, diagonal] -= model.dof_armature  # which is no mass: see cables.stepping_spec
+            mass[i, diagonal, diagonal] -= (
+                model.dof_armature
+            )  # which is no mass: see cables.stepping_spec
             mujoco.mj_jacSite(model, data, tip[i], None, tip_site)
             bias[i], passive[i], velocity[i] = data.qfrc_bias, data.qfrc_passive, data.qvel
             cables[i], length[i] = _dense_tendon_jacobian(model, data), data.ten_length
@@ -177,14 +199,20 @@ class MujocoSimulation(Simulation):
         if renderer is None:
             try:
                 renderer = self._renderer = mujoco.Renderer(self.model, 480, 640)
-            except Exception as error:  # each GL platform fails in its own way, none with a common type
+            except (
+                Exception
+            ) as error:  # each GL platform fails in its own way, none with a common type
                 raise CdcsrError(
                     "MuJoCo cannot draw here: it found no OpenGL (set MUJOCO_GL to egl, osmesa or glfw, or draw "
                     f"with the pybullet engine, which needs none). [{type(error).__name__}]"
                 ) from None
         view = mujoco.MjvCamera()
         view.lookat[:] = self.model.stat.center
-        view.distance, view.azimuth, view.elevation = 1.6 * self.model.stat.extent, azimuth + 90, elevation
+        view.distance, view.azimuth, view.elevation = (
+            1.6 * self.model.stat.extent,
+            azimuth + 90,
+            elevation,
+        )
         self._scratch.qpos = self._qpos[index]
         mujoco.mj_forward(self.model, self._scratch)
         renderer.update_scene(self._scratch, view)
@@ -199,5 +227,7 @@ class MujocoSimulation(Simulation):
 def _dense_tendon_jacobian(model: mujoco.MjModel, data: mujoco.MjData) -> Array:
     dense = np.zeros((model.ntendon, model.nv))
     columns = model.ten_J_colind.ravel()
-    mujoco.mju_sparse2dense(dense, data.ten_J.ravel(), model.ten_J_rownnz, model.ten_J_rowadr, columns)
+    mujoco.mju_sparse2dense(
+        dense, data.ten_J.ravel(), model.ten_J_rownnz, model.ten_J_rowadr, columns
+    )
     return dense

@@ -22,11 +22,11 @@ import numba
 import numpy as np
 from numpy.typing import NDArray
 
-from backends.pybullet.complementarity import append_row, factor, solve_complementarity, solve_transposed
 from backends.pybullet.dynamics import Chain, bias_force, forward_kinematics, mass_matrix, own_chain
-from cdcsr.cables import crossing, routing
-from cdcsr.parameters import Plant
-from cdcsr.robot import Robot
+from backends.pybullet.lcp import append_row, factor, solve_complementarity, solve_transposed
+from cdcsr.robot.description import Robot
+from cdcsr.robot.routing import crossing, routing
+from cdcsr.simulation.plant import Plant
 
 Array = NDArray[np.float64]
 
@@ -72,7 +72,9 @@ def rig(robot: Robot) -> Rig:
         rest_length_offset=np.zeros(robot.num_cables),
         gain=np.array([servo.gain for servo in robot.servos]),
         stiffness=np.array([joint.stiffness for joint in hinges]),
-        damping=np.array([servo.damping for servo in robot.servos] + [joint.damping for joint in hinges]),
+        damping=np.array(
+            [servo.damping for servo in robot.servos] + [joint.damping for joint in hinges]
+        ),
         limit=np.array([joint.limit for joint in hinges]),
         time_step=robot.time_step,
         recovery_time=robot.constraint.recovery_time,
@@ -98,7 +100,9 @@ def own_rig(rig: Rig, plant: Plant, row: int) -> Rig:
 
 
 @numba.njit(cache=True)
-def cable_rows(rig: Rig, travel: Array, sine: Array, cosine: Array, by_slider: Array, by_hinge: Array) -> Array:
+def cable_rows(
+    rig: Rig, travel: Array, sine: Array, cosine: Array, by_slider: Array, by_hinge: Array
+) -> Array:
     """Gap of every cable, shape (C,); fills the derivatives of the lengths, shapes (C,) and (C, 2 J)."""
     gap = np.empty(travel.size)
     for c in range(travel.size):
@@ -122,7 +126,9 @@ def _slack_rate(gap: float, rig: Rig) -> float:
 
 
 @numba.njit(cache=True)
-def _joint_forces(chain: Chain, rig: Rig, position: Array, velocity: Array, command: Array, tension: Array) -> Array:
+def _joint_forces(
+    chain: Chain, rig: Rig, position: Array, velocity: Array, command: Array, tension: Array
+) -> Array:
     """Forces on sliders and hinges of one copy, shape (C + 2 J,); replaces the tensions of the step before.
 
     The factorised matrix is of the hinges, then the base; sliders touch nothing but the base and are eliminated
@@ -206,7 +212,9 @@ def _joint_forces(chain: Chain, rig: Rig, position: Array, velocity: Array, comm
             else:
                 k = limited[i - num_cables]
                 room = rig.limit[k] - side[k] * hinges[k]
-                slack[i] = (_slack_rate(float(room), rig) - side[k] * velocity[first + k]) / step - drive
+                slack[i] = (
+                    _slack_rate(float(room), rig) - side[k] * velocity[first + k]
+                ) / step - drive
         done = count
         solve_complementarity(matrix, slack, count, pull)
 

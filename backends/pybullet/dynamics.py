@@ -20,10 +20,10 @@ import numba
 import numpy as np
 from numpy.typing import NDArray
 
-from backends.pybullet.model import slider_places
+from backends.pybullet.urdf import slider_places
 from backends.pybullet.vectors import Vec, add, blend, cross, dot, vec
-from cdcsr.parameters import Plant
-from cdcsr.robot import Robot
+from cdcsr.robot.description import Robot
+from cdcsr.simulation.plant import Plant
 
 Array = NDArray[np.float64]
 
@@ -179,7 +179,13 @@ def mass_matrix(chain: Chain, frames: Frames) -> Array:
     composite = np.zeros(10)
     momentum = np.empty(6)
     for n in range(num_links - 1, -1, -1):
-        _add_body(composite, chain.link_mass[n], chain.link_inertia[n], frames.axes[n + 1], vec(frames.center[n]))
+        _add_body(
+            composite,
+            chain.link_mass[n],
+            chain.link_inertia[n],
+            frames.axes[n + 1],
+            vec(frames.center[n]),
+        )
         b = composite
         moment = (b[1], b[2], b[3])
         for hinge in (2 * n + 1, 2 * n):

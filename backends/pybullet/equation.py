@@ -12,11 +12,12 @@ import numpy as np
 import pybullet
 from numpy.typing import NDArray
 
-from backends.pybullet.loading import connect, load_robot_body, set_masses
-from cdcsr.cables import cable_jacobian, cable_lengths, routing
-from cdcsr.parameters import Parameters, Plant
-from cdcsr.robot import Robot
-from cdcsr.simulation import Dynamics, rotation_matrix
+from backends.pybullet.client import connect, load_robot_body, set_masses
+from cdcsr.robot.description import Robot
+from cdcsr.robot.routing import cable_jacobian, cable_lengths, routing
+from cdcsr.simulation.contract import Dynamics
+from cdcsr.simulation.plant import Parameters, Plant
+from cdcsr.simulation.rotations import rotation_matrix
 
 Array = NDArray[np.float64]
 
@@ -49,7 +50,9 @@ class Equation:
         """
         if plant is None:
             plant = Parameters().plant(self._robot, len(position))
-        rows = [self._one(*state) for state in zip(self._chosen(plant), position, velocity, strict=True)]
+        rows = [
+            self._one(*state) for state in zip(self._chosen(plant), position, velocity, strict=True)
+        ]
         mass, bias, tip = (np.stack(part) for part in zip(*rows, strict=True))
         joints, rates = position[:, 7:], velocity[:, 6:]
         passive = np.zeros_like(velocity)
@@ -73,7 +76,9 @@ class Equation:
     def _chosen(self, plant: Plant) -> list[int]:
         """The bodies with the masses in the rows of `plant`; one that was asked keeps its masses for ever."""
         masses = (plant.base_mass, plant.base_inertia, plant.link_mass, plant.link_inertia)
-        keys = [b"".join(part[row].tobytes() for part in masses) for row in range(len(plant.base_mass))]
+        keys = [
+            b"".join(part[row].tobytes() for part in masses) for row in range(len(plant.base_mass))
+        ]
         missing = set(keys) - self._bodies.keys()
         if missing and len(self._bodies) + len(missing) > _MOST_BODIES:
             self.close()
@@ -105,6 +110,12 @@ class Equation:
         # Unlike its arguments, the result has the base's linear part first.
         bias[:3], bias[3:6] = turn @ bias[:3], turn @ bias[3:6]
         linear, _ = pybullet.calculateJacobian(
-            body, self._tip_link, self._tip_place, joints, still, still, physicsClientId=self._client
+            body,
+            self._tip_link,
+            self._tip_place,
+            joints,
+            still,
+            still,
+            physicsClientId=self._client,
         )
         return to_bullet.T @ mass @ to_bullet, bias, turn @ np.array(linear) @ to_bullet

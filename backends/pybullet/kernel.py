@@ -7,8 +7,8 @@ from numpy.typing import NDArray
 
 from backends.pybullet.cables import Rig, cable_rows, own_rig
 from backends.pybullet.dynamics import Chain, bias_force, forward_kinematics, mass_matrix, own_chain
-from cdcsr.parameters import Plant
-from cdcsr.simulation import Dynamics
+from cdcsr.simulation.contract import Dynamics
+from cdcsr.simulation.plant import Plant
 
 Array = NDArray[np.float64]
 
@@ -35,7 +35,10 @@ def kernel_dynamics(
     for i in range(num):
         own_numbers, own_cables = own_chain(chain, plant, i), own_rig(rig, plant, i)
         frames = forward_kinematics(own_numbers, position[i])
-        mass[i], bias[i] = mass_matrix(own_numbers, frames), bias_force(own_numbers, frames, velocity[i])
+        mass[i], bias[i] = (
+            mass_matrix(own_numbers, frames),
+            bias_force(own_numbers, frames, velocity[i]),
+        )
         to_tip = frames.joint[-1]
         # The tip moves with the base's centre, and around it.
         tip[i, :, :3], tip[i, :, 3:6] = np.eye(3), np.cross(np.eye(3), to_tip).T

@@ -12,14 +12,15 @@ from backends.pybullet.cables import rig
 from backends.pybullet.dynamics import chain, tip_states
 from backends.pybullet.equation import Equation
 from backends.pybullet.kernel import kernel_dynamics
-from backends.pybullet.render import Renderer
 from backends.pybullet.workers import Pool
 from backends.pybullet.world import World
-from cdcsr.cables import routing
+from backends.viewers.software import Renderer
 from cdcsr.errors import CdcsrError, Diverged
-from cdcsr.parameters import Plant
-from cdcsr.robot import Robot
-from cdcsr.simulation import Array, Capability, Dynamics, Ids, Simulation, Snapshot, State, processors
+from cdcsr.robot.description import Robot
+from cdcsr.robot.routing import routing
+from cdcsr.simulation.contract import Array, Capability, Dynamics, Ids, Simulation, Snapshot, State
+from cdcsr.simulation.engines import processors
+from cdcsr.simulation.plant import Plant
 
 COPIES_PER_WORKER = 8
 POOL_FROM = 16
@@ -48,9 +49,15 @@ class PybulletSimulation(Simulation):
             workers = min(processors(), -(-num // COPIES_PER_WORKER)) if num >= POOL_FROM else 0
             workers = workers if workers > 1 else 0
         if not 0 <= workers <= num:
-            raise CdcsrError(f"{num} copies can be shared by 0 to {num} worker processes, not {workers}.")
+            raise CdcsrError(
+                f"{num} copies can be shared by 0 to {num} worker processes, not {workers}."
+            )
         self._world = Pool(robot, num, workers) if workers else World(robot, num)
-        self._chain, self._rig, self._rest_length = chain(robot), rig(robot), routing(robot).rest_length
+        self._chain, self._rig, self._rest_length = (
+            chain(robot),
+            rig(robot),
+            routing(robot).rest_length,
+        )
 
     def _set_plant(self, ids: NDArray[np.int64], plant: Plant) -> None:
         self._world.set_plant(ids, plant)
@@ -110,12 +117,16 @@ class PybulletSimulation(Simulation):
 
     def dynamics(self, ids: Ids = None) -> Dynamics:
         chosen = self._chosen(ids)
-        return self._equation(self._world.position[chosen], self._world.velocity[chosen], self._plant_of(chosen))
+        return self._equation(
+            self._world.position[chosen], self._world.velocity[chosen], self._plant_of(chosen)
+        )
 
     def step_dynamics(self, ids: Ids = None) -> Dynamics:
         chosen = self._chosen(ids)
         position, velocity = self._world.position[chosen], self._world.velocity[chosen]
-        return kernel_dynamics(self._chain, self._rig, self._plant_of(chosen), self._rest_length, position, velocity)
+        return kernel_dynamics(
+            self._chain, self._rig, self._plant_of(chosen), self._rest_length, position, velocity
+        )
 
     def _plant_of(self, chosen: NDArray[np.int64]) -> Plant:
         return Plant(*(rows[chosen] for rows in self.plant))

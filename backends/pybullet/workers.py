@@ -24,8 +24,8 @@ from numpy.typing import NDArray
 
 from backends.pybullet.world import Divergence, World
 from cdcsr.errors import CdcsrError
-from cdcsr.parameters import Plant
-from cdcsr.robot import Robot
+from cdcsr.robot.description import Robot
+from cdcsr.simulation.plant import Plant
 
 Array = NDArray[np.float64]
 Method = Literal["set_plant", "use_own_settings", "reset", "place", "step"]
@@ -42,7 +42,10 @@ class Pool:
         edges = np.linspace(0, num, workers + 1).round().astype(int)
         self._shares = [slice(int(a), int(b)) for a, b in itertools.pairwise(edges)]
         command = [sys.executable, "-c", _START, json.dumps(sys.path)]
-        self._workers = [subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE) for _ in self._shares]
+        self._workers = [
+            subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE)
+            for _ in self._shares
+        ]
         self._end = weakref.finalize(self, _end, self._workers)
         self.time = np.zeros(num)
         self.position = np.zeros((num, 7 + robot.num_cables + robot.num_hinges))
@@ -94,14 +97,21 @@ class Pool:
     def _ask(self, requests: list[tuple[Any, ...]]) -> list[Any]:
         """Send every worker its request, then take over the state of its copies and collect the results."""
         if not self._end.alive:
-            raise CdcsrError("This simulation is closed, or one of its worker processes was lost; make a new one.")
+            raise CdcsrError(
+                "This simulation is closed, or one of its worker processes was lost; make a new one."
+            )
         results, index = [], 0
         try:
             for index, request in enumerate(requests):
                 _send(_pipe(self._workers[index].stdin), request)
             for index, share in enumerate(self._shares):
                 result, state = pickle.load(_pipe(self._workers[index].stdout))
-                self.time[share], self.position[share], self.velocity[share], self.tension[share] = state
+                (
+                    self.time[share],
+                    self.position[share],
+                    self.velocity[share],
+                    self.tension[share],
+                ) = state
                 results.append(result)
         except (EOFError, OSError, pickle.UnpicklingError):
             worker, share = self._workers[index], self._shares[index]
@@ -110,7 +120,9 @@ class Pool:
                 f"The PyBullet worker process of copies {share.start} to {share.stop - 1} ended unexpectedly "
                 f"(exit code {worker.returncode}); make a new simulation, with fewer workers if memory is short."
             ) from None
-        except BaseException:  # interrupted between question and answer: what comes next would be out of step
+        except (
+            BaseException
+        ):  # interrupted between question and answer: what comes next would be out of step
             self.close()
             raise
         return results

@@ -12,10 +12,10 @@ import pybullet
 from numpy.typing import NDArray
 
 from backends.pybullet.cables import joint_forces, rig
+from backends.pybullet.client import connect, load_robot_body, set_masses, use_own_settings
 from backends.pybullet.dynamics import chain
-from backends.pybullet.loading import connect, load_robot_body, set_masses, use_own_settings
-from cdcsr.parameters import Parameters, Plant
-from cdcsr.robot import Robot
+from cdcsr.robot.description import Robot
+from cdcsr.simulation.plant import Parameters, Plant
 
 Array = NDArray[np.float64]
 
@@ -55,7 +55,11 @@ class World:
                 self._clients.append(connect(robot))
             self._bodies.append((self._clients[-1], load_robot_body(robot, self._clients[-1])))
         self._joints = range(robot.num_cables + robot.num_hinges)
-        self._chain, self._rig, self._plant = chain(robot), rig(robot), Parameters().plant(robot, num)
+        self._chain, self._rig, self._plant = (
+            chain(robot),
+            rig(robot),
+            Parameters().plant(robot, num),
+        )
         self._time_step = robot.time_step
         self.time = np.zeros(num)
         self.position = np.zeros((num, 7 + len(self._joints)))
@@ -94,7 +98,12 @@ class World:
 
     def place(self, time: Array, position: Array, velocity: Array, tension: Array) -> None:
         """Put every copy into a state; shapes as of the attributes."""
-        self.time[:], self.position[:], self.velocity[:], self.tension[:] = time, position, velocity, tension
+        self.time[:], self.position[:], self.velocity[:], self.tension[:] = (
+            time,
+            position,
+            velocity,
+            tension,
+        )
         for copy in range(len(self._bodies)):
             self._write(copy)
             self._read(copy)
@@ -112,11 +121,22 @@ class World:
         lost: dict[int, Divergence] = {}
         for _ in range(substeps):
             joint_forces(
-                self._chain, self._rig, self._plant, self.position, self.velocity, command, self.tension, self._force
+                self._chain,
+                self._rig,
+                self._plant,
+                self.position,
+                self.velocity,
+                command,
+                self.tension,
+                self._force,
             )
             for (client, body), force in zip(self._bodies, self._force.tolist(), strict=True):
                 pybullet.setJointMotorControlArray(
-                    body, self._joints, pybullet.TORQUE_CONTROL, forces=force, physicsClientId=client
+                    body,
+                    self._joints,
+                    pybullet.TORQUE_CONTROL,
+                    forces=force,
+                    physicsClientId=client,
                 )
             for client in self._clients:
                 pybullet.stepSimulation(physicsClientId=client)
@@ -124,8 +144,12 @@ class World:
             for copy in range(len(self._bodies)):
                 self._read(copy)
             if not _within(self.velocity, self._fastest):
-                for copy in np.flatnonzero(~(np.abs(self.velocity) <= self._fastest).all(axis=1)).tolist():
-                    lost.setdefault(copy, Divergence(copy, float(self.time[copy]), self._complaint(copy)))
+                for copy in np.flatnonzero(
+                    ~(np.abs(self.velocity) <= self._fastest).all(axis=1)
+                ).tolist():
+                    lost.setdefault(
+                        copy, Divergence(copy, float(self.time[copy]), self._complaint(copy))
+                    )
                     self.reset([copy])
         self.reset(lost)
         return [lost[copy] for copy in sorted(lost)]
@@ -146,10 +170,16 @@ class World:
         client, body = self._bodies[copy]
         position, velocity = self.position[copy].tolist(), self.velocity[copy].tolist()
         w, x, y, z = position[3:7]
-        pybullet.resetBasePositionAndOrientation(body, position[:3], (x, y, z, w), physicsClientId=client)
+        pybullet.resetBasePositionAndOrientation(
+            body, position[:3], (x, y, z, w), physicsClientId=client
+        )
         pybullet.resetBaseVelocity(body, velocity[:3], velocity[3:6], physicsClientId=client)
         pybullet.resetJointStatesMultiDof(
-            body, self._joints, [[q] for q in position[7:]], [[v] for v in velocity[6:]], physicsClientId=client
+            body,
+            self._joints,
+            [[q] for q in position[7:]],
+            [[v] for v in velocity[6:]],
+            physicsClientId=client,
         )
 
     def _read(self, copy: int) -> None:
@@ -157,7 +187,9 @@ class World:
         (client, body), position = self._bodies[copy], self.position[copy]
         place, (x, y, z, w) = pybullet.getBasePositionAndOrientation(body, physicsClientId=client)
         linear, angular = pybullet.getBaseVelocity(body, physicsClientId=client)
-        angles, rates, _, _ = zip(*pybullet.getJointStates(body, self._joints, physicsClientId=client), strict=True)
+        angles, rates, _, _ = zip(
+            *pybullet.getJointStates(body, self._joints, physicsClientId=client), strict=True
+        )
         if position[3] * w + position[4] * x + position[5] * y + position[6] * z < 0:
             w, x, y, z = -w, -x, -y, -z  # PyBullet's sign is arbitrary; ours does not jump
         position[:] = (*place, w, x, y, z, *angles)

@@ -7,9 +7,10 @@ from typing import Any
 
 import pytest
 
-from cdcsr.robot import Robot, load_robot, shipped_robots
-from cdcsr.simulation import Simulation, backend_names, load_backend
-from physics import Make
+from cdcsr.robot.description import Robot, load_robot, shipped_robots
+from cdcsr.simulation.contract import Simulation
+from cdcsr.simulation.engines import backend_names, load_backend
+from tests.support.physics import Make
 
 
 @pytest.fixture(params=backend_names())
@@ -20,11 +21,6 @@ def engine(request: pytest.FixtureRequest) -> str:
 @pytest.fixture(params=shipped_robots())
 def robot(request: pytest.FixtureRequest) -> Robot:
     return load_robot(request.param)
-
-
-@pytest.fixture
-def paper() -> Robot:
-    return load_robot("paper")
 
 
 @pytest.fixture

@@ -14,9 +14,9 @@ from dm_control.viewer import runtime
 from dm_env import StepType, TimeStep, test_utils
 
 import cdcsr  # noqa: F401 (makes the environment known to Gymnasium)
-from backends.dm import MujocoPhysics, make_dm_environment
+from backends.dm_env import MujocoPhysics, make_dm_environment
 from cdcsr.errors import CdcsrError, Diverged
-from cdcsr.simulation import Array
+from cdcsr.simulation.contract import Array
 
 BACKENDS = ("mujoco", "pybullet")
 both = pytest.mark.parametrize("backend", BACKENDS)
@@ -56,7 +56,9 @@ def test_it_is_the_gymnasium_environment(backend: str, frame_skip: int) -> None:
     rng = np.random.default_rng(0)
     for episode in range(2):
         step = ours.reset()
-        seed, options = (7, None) if episode == 0 else (None, {"target": step.observation["target"]})
+        seed, options = (
+            (7, None) if episode == 0 else (None, {"target": step.observation["target"]})
+        )
         observation, _ = theirs.reset(seed=seed, options=options)
         np.testing.assert_array_equal(joined(step), observation)
         while not step.last():
@@ -100,10 +102,16 @@ def test_actions_are_bounded_by_eta(robot: str) -> None:
 
 @both
 def test_success_ends_with_discount_0_and_time_with_1(backend: str) -> None:
-    far, near = make_dm_environment(backend=backend, max_steps=11, frame_skip=5), make_dm_environment(threshold=9.0)
+    far, near = (
+        make_dm_environment(backend=backend, max_steps=11, frame_skip=5),
+        make_dm_environment(threshold=9.0),
+    )
     far.reset()
     steps = [far.step(np.zeros(8)) for _ in range(2)]
-    assert [(s.step_type, s.discount, s.reward) for s in steps] == [(StepType.MID, 1.0, 0.0), (StepType.LAST, 1.0, 0.0)]
+    assert [(s.step_type, s.discount, s.reward) for s in steps] == [
+        (StepType.MID, 1.0, 0.0),
+        (StepType.LAST, 1.0, 0.0),
+    ]
     assert far.physics.time() == pytest.approx(2 * 5 * 0.0025)
     near.reset()
     step = near.step(np.zeros(8))

@@ -16,7 +16,18 @@ from cdcsr.errors import CdcsrError
 from cdcsr.files import refuse_unwritable
 
 SCRIPT = str(Path(sys.executable).with_name("cdcsr"))
-HEAVY = ("pydantic", "scipy", "torch", "trimesh", "tyro", "numba", "matplotlib", "minari", "mujoco", "pybullet")
+HEAVY = (
+    "pydantic",
+    "scipy",
+    "torch",
+    "trimesh",
+    "tyro",
+    "numba",
+    "matplotlib",
+    "minari",
+    "mujoco",
+    "pybullet",
+)
 """Gymnasium, and NumPy with it, is not in the list: importing `cdcsr` registers the environments."""
 
 
@@ -49,7 +60,10 @@ def interrupt() -> None:
 @pytest.fixture
 def commands(monkeypatch: pytest.MonkeyPatch) -> None:
     """The functions above as installed commands, and one whose module is not there."""
-    found = [EntryPoint(f.__name__, f"{__name__}:{f.__name__}", "cdcsr.commands") for f in (double, fail, interrupt)]
+    found = [
+        EntryPoint(f.__name__, f"{__name__}:{f.__name__}", "cdcsr.commands")
+        for f in (double, fail, interrupt)
+    ]
     found.append(EntryPoint("gone", "no_such_module:function", "cdcsr.commands"))
 
     def installed(*, group: str) -> list[EntryPoint]:
@@ -82,8 +96,12 @@ def test_help_imports_nothing_heavy() -> None:
     assert done.stdout.splitlines()[-1] == "[]"
 
 
-@pytest.mark.parametrize("command", sorted({point.name for point in entry_points(group="cdcsr.commands")}))
-def test_every_installed_command_explains_itself(command: str, capsys: pytest.CaptureFixture[str]) -> None:
+@pytest.mark.parametrize(
+    "command", sorted({point.name for point in entry_points(group="cdcsr.commands")})
+)
+def test_every_installed_command_explains_itself(
+    command: str, capsys: pytest.CaptureFixture[str]
+) -> None:
     with pytest.raises(SystemExit) as stopped:
         cli.main([command, "--help"])
     assert stopped.value.code == 0
@@ -101,7 +119,9 @@ def test_an_unknown_command_ends_in_one_line_and_exit_code_2() -> None:
 
 
 @pytest.mark.usefixtures("commands")
-def test_help_lists_every_command_and_survives_one_that_is_broken(capsys: pytest.CaptureFixture[str]) -> None:
+def test_help_lists_every_command_and_survives_one_that_is_broken(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
     assert cli.main(["--help"]) == 0
     assert [line for line in capsys.readouterr().out.splitlines() if line.startswith("  ")] == [
         "  double     Print twice a number.",
@@ -147,7 +167,9 @@ def test_exit_codes_and_output(
 
 
 @pytest.mark.parametrize("argv", [[], ["many"], ["1", "--loud"]])
-def test_arguments_that_do_not_fit_end_with_exit_code_2(argv: list[str], capsys: pytest.CaptureFixture[str]) -> None:
+def test_arguments_that_do_not_fit_end_with_exit_code_2(
+    argv: list[str], capsys: pytest.CaptureFixture[str]
+) -> None:
     with pytest.raises(SystemExit) as stopped:
         cli.run(double, "double", argv)
     assert stopped.value.code == 2
@@ -184,7 +206,11 @@ def test_a_file_that_cannot_be_written_is_refused_before_the_work(
     (tmp_path / "file").write_text("")
     for option, place, why in (
         ("--json", tmp_path, f"{tmp_path} is a folder; give the name of a file."),
-        ("--csv", tmp_path / "file" / "x.csv", f"Cannot write {tmp_path}/file/x.csv: {tmp_path}/file is a file."),
+        (
+            "--csv",
+            tmp_path / "file" / "x.csv",
+            f"Cannot write {tmp_path}/file/x.csv: {tmp_path}/file is a file.",
+        ),
     ):
         assert cli.run(measure, "measure", [option, str(place)]) == 2
         assert capsys.readouterr() == ("", f"cdcsr: error: {why}\n")
@@ -194,7 +220,11 @@ def test_a_file_that_cannot_be_written_is_refused_before_the_work(
     assert not new.parent.exists()  # looking makes nothing
 
 
-def test_a_folder_without_permission_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(os, "access", lambda path, mode: (path, mode) != (tmp_path, os.W_OK))  # root may do all
+def test_a_folder_without_permission_is_refused(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(
+        os, "access", lambda path, mode: (path, mode) != (tmp_path, os.W_OK)
+    )  # root may do all
     with pytest.raises(CdcsrError, match="may not be written to"):
         refuse_unwritable(tmp_path / "x.json")

@@ -25,7 +25,9 @@ def test_a_file_is_written_and_replaced_and_nothing_else_is_left(tmp_path: Path)
     assert names(path.parent) == ["a.txt"]
 
 
-def test_a_failed_write_leaves_the_old_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_failed_write_leaves_the_old_file(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     path = tmp_path / "a.bin"
     write_bytes(path, b"old")
 
@@ -83,7 +85,10 @@ def test_an_existing_folder_is_refused_with_the_remedy(tmp_path: Path) -> None:
     place.mkdir()
     with pytest.raises(CdcsrError) as caught, new_folder(place, force=False):
         pytest.fail("the block must not run")
-    assert str(caught.value) == f"{place} already exists; give another folder, or --force to replace it."
+    assert (
+        str(caught.value)
+        == f"{place} already exists; give another folder, or --force to replace it."
+    )
 
 
 def test_force_replaces_the_whole_folder(tmp_path: Path) -> None:
@@ -107,12 +112,17 @@ def test_a_failure_under_force_keeps_the_old_folder(tmp_path: Path) -> None:
     assert names(tmp_path) == ["out"]
 
 
-def test_force_replaces_neither_a_file_nor_the_current_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_force_replaces_neither_a_file_nor_the_current_folder(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     (tmp_path / "file").write_text("")
     with pytest.raises(CdcsrError, match="is a file"), new_folder(tmp_path / "file", force=True):
         pytest.fail("the block must not run")
     (tmp_path / "here").mkdir()
     monkeypatch.chdir(tmp_path / "here")
     for place in (Path(), tmp_path):
-        with pytest.raises(CdcsrError, match="holds the current folder"), new_folder(place, force=True):
+        with (
+            pytest.raises(CdcsrError, match="holds the current folder"),
+            new_folder(place, force=True),
+        ):
             pytest.fail("the block must not run")

@@ -8,13 +8,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from cdcsr.envs import ReachVectorEnv
+from cdcsr.envs.gym_env import ReachVectorEnv
 from cdcsr.errors import CdcsrError
-from cdcsr.robot import load_robot
-from cdcsr.spaces import demonstration_targets
-from controllers.commands import demonstrate, replay
+from cdcsr.robot.description import load_robot
+from cdcsr.tasks.spaces import demonstration_targets
 from controllers.demonstrations import load, record
 from controllers.jacobian import JacobianController
+from training.commands.demonstrate import demonstrate
+from training.commands.replay import replay
 
 
 @pytest.fixture(scope="module")
@@ -51,7 +52,9 @@ def test_replaying_the_commands_gives_the_observations(folder: Path) -> None:
 
 def test_any_task_and_frame_skip_is_replayed(tmp_path: Path) -> None:
     record = tmp_path / "record.json"
-    demonstrate(out=tmp_path / "quiet", episodes=1, seed=0, frame_skip=5, task="precise", json=record)
+    demonstrate(
+        out=tmp_path / "quiet", episodes=1, seed=0, frame_skip=5, task="precise", json=record
+    )
     (episode,) = load(tmp_path / "quiet", load_robot("paper").fingerprint, 5)
     assert json.loads(record.read_text())["steps"] == 5 * len(episode.actions)  # the simulation's
     with pytest.raises(CdcsrError, match="have frame_skip 5, not 1"):
@@ -63,13 +66,17 @@ def test_any_task_and_frame_skip_is_replayed(tmp_path: Path) -> None:
 def test_targets_are_those_of_the_seed(folder: Path) -> None:
     robot = load_robot("paper")
     episodes = load(folder, robot.fingerprint)
-    np.testing.assert_array_equal([e.target for e in episodes], demonstration_targets(robot, 3, seed=0))
+    np.testing.assert_array_equal(
+        [e.target for e in episodes], demonstration_targets(robot, 3, seed=0)
+    )
     summary = json.loads((folder.parent / "summary.json").read_text())
     assert summary["steps"] == sum(e.length for e in episodes)
 
 
 def test_failed_episodes_are_drawn_anew() -> None:
-    env = ReachVectorEnv(4, max_steps=110, autoreset_mode="Disabled")  # too short for about half the targets
+    env = ReachVectorEnv(
+        4, max_steps=110, autoreset_mode="Disabled"
+    )  # too short for about half the targets
     episodes, failed = record(JacobianController(env.robot), env, num=6, seed=0)
     assert failed > 0
     assert len(episodes) == 6
@@ -97,14 +104,18 @@ def test_what_is_no_dataset_is_refused(tmp_path: Path, folder: Path) -> None:
         load(folder, load_robot("three-cable").fingerprint)
     with pytest.raises(CdcsrError, match="frame_skip 1, not 2"):
         load(folder, fingerprint, frame_skip=2)
-    with pytest.raises(CdcsrError, match=r"of the task 'reach', not 'capture'; .*cdcsr demonstrate --task capture"):
+    with pytest.raises(
+        CdcsrError, match=r"of the task 'reach', not 'capture'; .*cdcsr demonstrate --task capture"
+    ):
         load(folder, fingerprint, task="capture")
 
 
 def test_a_capture_is_demonstrated_and_read_back(tmp_path: Path) -> None:
     """Its last 20 actions, of two steps each, left the tip on the target; the reward is for the last alone."""
     demonstrate(out=tmp_path / "set", episodes=2, task="capture-drift", frame_skip=2)
-    episodes = load(tmp_path / "set", load_robot("paper").fingerprint, frame_skip=2, task="capture-drift")
+    episodes = load(
+        tmp_path / "set", load_robot("paper").fingerprint, frame_skip=2, task="capture-drift"
+    )
     for episode in episodes:
         assert episode.terminated
         assert episode.rewards.tolist() == [0.0] * (episode.length - 1) + [1.0]
@@ -116,7 +127,9 @@ def test_a_capture_is_demonstrated_and_read_back(tmp_path: Path) -> None:
 
 def test_a_follower_is_demonstrated_to_the_end_of_time(tmp_path: Path) -> None:
     demonstrate(out=tmp_path / "set", episodes=1, task="follow-line", frame_skip=10)
-    (episode,) = load(tmp_path / "set", load_robot("paper").fingerprint, frame_skip=10, task="follow-line")
+    (episode,) = load(
+        tmp_path / "set", load_robot("paper").fingerprint, frame_skip=10, task="follow-line"
+    )
     assert not episode.terminated
     assert episode.length == 100
     np.testing.assert_array_equal(episode.rewards, episode.observations[1:, 9] <= 0.03)

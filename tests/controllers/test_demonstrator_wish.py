@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from cdcsr.envs import TaskVectorEnv
+from cdcsr.envs.gym_env import TaskVectorEnv
 from controllers.jacobian import JacobianController
 
 Array = NDArray[np.float64]
@@ -23,24 +23,34 @@ def test_predicts_the_hinges_rates_of_the_next_step(backend: str) -> None:
         offset, slope = controller._predict_hinges(env.simulation.dynamics(), env.robot.time_step)
         observation, *_ = env.step(controller.act(env, observation, active))
         state = env.simulation.state()
-        errors.append(np.linalg.norm(offset[0] + slope[0] @ state.cable_tension[0] - state.joint_rates[0]))
+        errors.append(
+            np.linalg.norm(offset[0] + slope[0] @ state.cable_tension[0] - state.joint_rates[0])
+        )
         rates.append(np.linalg.norm(state.joint_rates[0]))
     env.close()
     assert np.mean(errors[5:]) < 0.02 * np.max(rates)
 
 
-@pytest.mark.parametrize(("task", "frame_skip"), [("reach", 4), ("follow-line", 1), ("capture-drift", 4)])
+@pytest.mark.parametrize(
+    ("task", "frame_skip"), [("reach", 4), ("follow-line", 1), ("capture-drift", 4)]
+)
 def test_the_cost_of_tensions_is_that_of_missing_the_wish_and_of_moving_hinges(
     task: str, frame_skip: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    env = TaskVectorEnv(2, "paper", "mujoco", "anchor", task=task, frame_skip=frame_skip, autoreset_mode="Disabled")
+    env = TaskVectorEnv(
+        2, "paper", "mujoco", "anchor", task=task, frame_skip=frame_skip, autoreset_mode="Disabled"
+    )
     controller = JacobianController(env.robot, gain=10.0, speed=0.8, calm=0.03, calm_within=0.2)
     observation, _ = env.reset(seed=2)
     active, rng = np.ones(2, dtype=bool), np.random.default_rng(0)
     for _ in range(8):
         observation, *_ = env.step(controller.act(env, observation, active))
     tip = env.simulation.state().tip_position
-    env.targets[0] = tip[0] + [0.02, 0.03, 0.06]  # 7 cm: 0.7 m/s, and the other one is too far for its gain
+    env.targets[0] = tip[0] + [
+        0.02,
+        0.03,
+        0.06,
+    ]  # 7 cm: 0.7 m/s, and the other one is too far for its gain
     env.target_velocity[:] = [[0.01, 0.02, 0.03], [0.0, -0.1, 0.2]]
     asked: list[tuple[Array, Array]] = []
     tensions = controller._tensions
@@ -66,7 +76,11 @@ def test_the_cost_of_tensions_is_that_of_missing_the_wish_and_of_moving_hinges(
         assert np.sum((matrix @ pull - goal) ** 2) == pytest.approx(cost, rel=1e-9)
     env.close()
     assert len(asked) == 2
-    assert 10 * np.linalg.norm(env.targets[0] - tip[0]) < 0.8 < 10 * np.linalg.norm(env.targets[1] - tip[1])
+    assert (
+        10 * np.linalg.norm(env.targets[0] - tip[0])
+        < 0.8
+        < 10 * np.linalg.norm(env.targets[1] - tip[1])
+    )
 
 
 def test_each_copy_is_given_its_own_command_whoever_else_acts() -> None:
@@ -100,11 +114,24 @@ def test_the_prediction_is_an_implicit_step_of_springs_and_dampers(period: float
     keep = [*range(6), *range(6 + cables, env.robot.num_coordinates)]
     stiffness, damping = np.zeros((2, len(keep)))
     stiffness[6:], damping[6:] = np.array(springs).T
-    mass, rate, tension = d.mass_matrix[0][np.ix_(keep, keep)], d.velocity[0, keep], np.linspace(0, 40, cables)
+    mass, rate, tension = (
+        d.mass_matrix[0][np.ix_(keep, keep)],
+        d.velocity[0, keep],
+        np.linspace(0, 40, cables),
+    )
     # What springs and dampers do at the next angles, which are h v+ away, and rates, is linear in v+.
-    rest = d.passive_force[0, keep] + damping * rate - d.bias_force[0, keep] - d.cable_jacobian[0][:, keep].T @ tension
-    after = np.linalg.solve(mass + np.diag(period * damping + period**2 * stiffness), mass @ rate + period * rest)
+    rest = (
+        d.passive_force[0, keep]
+        + damping * rate
+        - d.bias_force[0, keep]
+        - d.cable_jacobian[0][:, keep].T @ tension
+    )
+    after = np.linalg.solve(
+        mass + np.diag(period * damping + period**2 * stiffness), mass @ rate + period * rest
+    )
     offset, slope = controller._predict(d, period)
-    np.testing.assert_allclose(offset[0] + slope[0] @ tension, d.tip_jacobian[0][:, keep] @ after, rtol=1e-9)
+    np.testing.assert_allclose(
+        offset[0] + slope[0] @ tension, d.tip_jacobian[0][:, keep] @ after, rtol=1e-9
+    )
     offset, slope = controller._predict_hinges(d, period)
     np.testing.assert_allclose(offset[0] + slope[0] @ tension, after[6:], rtol=1e-8, atol=1e-8)

@@ -6,14 +6,16 @@ import numpy as np
 import pytest
 from scipy.optimize import minimize
 
-from cdcsr.envs import ReachVectorEnv
-from cdcsr.robot import load_robot
+from cdcsr.envs.gym_env import ReachVectorEnv
+from cdcsr.robot.description import load_robot
 from controllers.demonstrations import rollout
 from controllers.jacobian import JacobianController
 
 
 @pytest.mark.parametrize("backend", ["mujoco", "pybullet"])
-@pytest.mark.parametrize(("robot", "least"), [("paper", 8), ("three-segment", 8), ("three-cable", 7)])
+@pytest.mark.parametrize(
+    ("robot", "least"), [("paper", 8), ("three-segment", 8), ("three-cable", 7)]
+)
 def test_reaches_anchor_targets(backend: str, robot: str, least: int) -> None:
     env = ReachVectorEnv(8, robot, backend, "anchor", autoreset_mode="Disabled")
     observation, _ = env.reset(seed=4)

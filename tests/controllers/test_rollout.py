@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from cdcsr.envs import ReachVectorEnv
-from cdcsr.spaces import make_space
+from cdcsr.envs.gym_env import ReachVectorEnv
+from cdcsr.tasks.spaces import make_space
 from controllers.controller import Controller
 from controllers.demonstrations import Rollout, record, rollout
 from controllers.jacobian import JacobianController
@@ -20,14 +20,20 @@ Array = NDArray[np.float64]
 class Idle(Controller):
     name = "idle"
 
-    def act(self, env: ReachVectorEnv, observation: Array, active: NDArray[np.bool_]) -> Array:  # noqa: ARG002
+    def act(self, env: ReachVectorEnv, observation: Array, active: NDArray[np.bool_]) -> Array:
         return np.zeros((env.num_envs, 1))
 
 
 class Scripted:
     """In place of an environment: what each copy's steps bring is written down. Targets move by one a step."""
 
-    def __init__(self, distance: list[list[float]], success: list[str], terminated: list[str], last: list[int]) -> None:
+    def __init__(
+        self,
+        distance: list[list[float]],
+        success: list[str],
+        terminated: list[str],
+        last: list[int],
+    ) -> None:
         self.num_envs = len(distance)
         self.targets = np.zeros((self.num_envs, 3))
         self._distance = np.array(distance)
@@ -36,13 +42,19 @@ class Scripted:
         )
         self._last, self._taken = np.array(last), 0
 
-    def step(self, action: Array) -> tuple[Any, ...]:  # noqa: ARG002
+    def step(self, action: Array) -> tuple[Any, ...]:
         k = self._taken
         self._taken += 1
         self.targets += 1.0
         info = {"distance": self._distance[:, k], "is_success": self._success[:, k]}
         observation = np.full((self.num_envs, 1), float(self._taken))
-        return observation, self._success[:, k] * 1.0, self._terminated[:, k], self._last <= self._taken, info
+        return (
+            observation,
+            self._success[:, k] * 1.0,
+            self._terminated[:, k],
+            self._last <= self._taken,
+            info,
+        )
 
 
 @pytest.fixture
@@ -74,7 +86,9 @@ def test_distances_are_up_to_the_end(result: Rollout) -> None:
     assert result.nearest.tolist() == [0.02, 0.2, 0.02, 0.02]
 
 
-def test_an_episode_is_cut_to_its_length_and_its_target_is_where_it_was_at_first(result: Rollout) -> None:
+def test_an_episode_is_cut_to_its_length_and_its_target_is_where_it_was_at_first(
+    result: Rollout,
+) -> None:
     first, last = result.successes()
     assert first.observations[:, 0].tolist() == [0, 1, 2]
     assert (len(first.actions), first.rewards.tolist()) == (2, [0, 1])

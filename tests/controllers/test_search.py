@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from cdcsr.disturbances import Disturbances
-from cdcsr.envs import ReachVectorEnv
-from cdcsr.observation import DISTANCE
+from cdcsr.envs.disturbances import Disturbances
+from cdcsr.envs.gym_env import ReachVectorEnv
+from cdcsr.tasks.observation import DISTANCE
 from controllers import search
 from controllers.controller import Controller
 from controllers.demonstrations import Rollout, rollout
@@ -27,15 +27,21 @@ class Slack(Controller):
     def __init__(self, pull: float = 0.0) -> None:
         self.pull = pull
 
-    def act(self, env: ReachVectorEnv, observation: Array, active: NDArray[np.bool_]) -> Array:  # noqa: ARG002
+    def act(self, env: ReachVectorEnv, observation: Array, active: NDArray[np.bool_]) -> Array:
         commands = np.zeros((env.num_envs, env.robot.num_cables))
         commands[:, 0] = commands[:, 4] = -self.pull
         return commands
 
 
-def _envs(num: int, steps: int = 250, threshold: float = 0.03, noise: float = 0.0) -> ReachVectorEnv:
+def _envs(
+    num: int, steps: int = 250, threshold: float = 0.03, noise: float = 0.0
+) -> ReachVectorEnv:
     return ReachVectorEnv(
-        num, max_steps=steps, threshold=threshold, disturbances=Disturbances(noise), autoreset_mode="Disabled"
+        num,
+        max_steps=steps,
+        threshold=threshold,
+        disturbances=Disturbances(noise),
+        autoreset_mode="Disabled",
     )
 
 
@@ -60,9 +66,12 @@ def test_offsets_are_added_held_and_clipped_for_each_copy() -> None:
 
 def test_outcomes_sort_by_how_often_then_how_soon_then_how_near() -> None:
     best_first = [
-        Outcome(1.0, 90, 0.03), Outcome(1.0, 91, 0.01), Outcome(0.5, 80, 0.02), Outcome(0.0, 250, 0.04),
+        Outcome(1.0, 90, 0.03),
+        Outcome(1.0, 91, 0.01),
+        Outcome(0.5, 80, 0.02),
+        Outcome(0.0, 250, 0.04),
         Outcome(0.0, 250, 0.05),
-    ]  # fmt: skip
+    ]
     assert sorted(reversed(best_first), key=lambda outcome: outcome.order) == best_first
 
 
@@ -95,14 +104,21 @@ def test_what_is_found_is_hardly_worse_and_is_not_sought_where_it_is_not_wanted(
             calls.append(1)
             return super().act(env, observation, active)
 
-    assert improve(Counted(), env, target, 3, 0, lambda outcome: outcome.reached > 0) == (alone, alone)
+    assert improve(Counted(), env, target, 3, 0, lambda outcome: outcome.reached > 0) == (
+        alone,
+        alone,
+    )
     assert len(calls) == 20
     env.close()
 
 
 def test_nearest_is_of_the_plant_and_not_what_a_lossy_link_shows() -> None:
     env = ReachVectorEnv(
-        2, max_steps=200, threshold=1e-9, autoreset_mode="Disabled", disturbances=Disturbances(0.0, 0.0, 1.0)
+        2,
+        max_steps=200,
+        threshold=1e-9,
+        autoreset_mode="Disabled",
+        disturbances=Disturbances(0.0, 0.0, 1.0),
     )
     observation, _ = env.reset(seed=0)
     targets, tips = env.targets.copy(), []
@@ -115,7 +131,9 @@ def test_nearest_is_of_the_plant_and_not_what_a_lossy_link_shows() -> None:
 
     result = rollout(Watched(), env, observation)
     assert np.ptp(result.observations[..., DISTANCE], axis=1).max() == 0  # nothing arrives
-    far = np.linalg.norm(np.array([*tips[1:], env.simulation.state().tip_position]) - targets, axis=-1)
+    far = np.linalg.norm(
+        np.array([*tips[1:], env.simulation.state().tip_position]) - targets, axis=-1
+    )
     np.testing.assert_allclose(result.nearest, far.min(0), rtol=1e-12)
     assert (result.nearest < result.distance).any()
     env.close()
@@ -124,7 +142,9 @@ def test_nearest_is_of_the_plant_and_not_what_a_lossy_link_shows() -> None:
 class Landscape:
     """In place of episodes: how long one takes is a function of its plan, and of chance."""
 
-    def __init__(self, length: Callable[[Array, np.random.Generator], float], chance: float = 1.0) -> None:
+    def __init__(
+        self, length: Callable[[Array, np.random.Generator], float], chance: float = 1.0
+    ) -> None:
         self.length, self.chance, self.rng, self.tries = length, chance, np.random.default_rng(0), 0
 
     def __call__(self, controller: Nudged, env: ReachVectorEnv, _: Array) -> Rollout:
@@ -133,11 +153,21 @@ class Landscape:
         length = np.array([round(self.length(plan, self.rng)) for plan in plans])
         success = self.rng.random(num) < self.chance
         return Rollout(
-            nothing, nothing, nothing, nothing, success, success, np.where(success, length, 250), nothing, np.ones(num)
+            nothing,
+            nothing,
+            nothing,
+            nothing,
+            success,
+            success,
+            np.where(success, length, 250),
+            nothing,
+            np.ones(num),
         )
 
 
-def _improve(monkeypatch: pytest.MonkeyPatch, landscape: Landscape, num: int, rounds: int) -> tuple[Outcome, Outcome]:
+def _improve(
+    monkeypatch: pytest.MonkeyPatch, landscape: Landscape, num: int, rounds: int
+) -> tuple[Outcome, Outcome]:
     monkeypatch.setattr(search, "rollout", landscape)
     env = _envs(num)
     try:
@@ -146,7 +176,9 @@ def _improve(monkeypatch: pytest.MonkeyPatch, landscape: Landscape, num: int, ro
         env.close()
 
 
-def test_where_luck_is_great_the_middle_of_the_round_is_what_is_found(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_where_luck_is_great_the_middle_of_the_round_is_what_is_found(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     """The luckiest plan of all rounds is not good again; the middle of the last ones is."""
 
     def length(plan: Array, rng: np.random.Generator) -> float:
@@ -158,7 +190,9 @@ def test_where_luck_is_great_the_middle_of_the_round_is_what_is_found(monkeypatc
     assert best.length < 80
 
 
-def test_where_one_plan_stands_out_that_plan_is_what_is_found(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_where_one_plan_stands_out_that_plan_is_what_is_found(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     """One in forty takes half the time, and the middle of those that are kept does not."""
 
     def length(plan: Array, rng: np.random.Generator) -> float:  # noqa: ARG001
@@ -168,7 +202,9 @@ def test_where_one_plan_stands_out_that_plan_is_what_is_found(monkeypatch: pytes
     assert (alone.length, best.length) == (100, 50)
 
 
-def test_where_the_controller_does_best_nothing_else_is_found(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_where_the_controller_does_best_nothing_else_is_found(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     def length(plan: Array, rng: np.random.Generator) -> float:  # noqa: ARG001
         return 100 if not plan.any() else 200
 
@@ -176,8 +212,15 @@ def test_where_the_controller_does_best_nothing_else_is_found(monkeypatch: pytes
     assert (alone.length, best.length) == (100, 100)
 
 
-def test_what_is_told_is_not_the_luck_of_the_tries_that_chose_it(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_what_is_told_is_not_the_luck_of_the_tries_that_chose_it(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     """Every plan succeeds half of the time; the best of three sets of six tries would say 0.66."""
     landscape = Landscape(lambda plan, rng: 100.0, 0.5)  # noqa: ARG005
-    told = np.array([[outcome.reached for outcome in _improve(monkeypatch, landscape, 6, 1)] for _ in range(150)])
+    told = np.array(
+        [
+            [outcome.reached for outcome in _improve(monkeypatch, landscape, 6, 1)]
+            for _ in range(150)
+        ]
+    )
     assert np.abs(told.mean(0) - 0.5).max() < 0.06  # four standard errors

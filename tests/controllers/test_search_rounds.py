@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from cdcsr.disturbances import Disturbances
-from cdcsr.envs import ReachVectorEnv
+from cdcsr.envs.disturbances import Disturbances
+from cdcsr.envs.gym_env import ReachVectorEnv
 from controllers import search
 from controllers.controller import Controller
 from controllers.demonstrations import Rollout
@@ -23,7 +23,7 @@ TARGET = np.array([0.2, 0.1, 2.5])
 class Still(Controller):
     name = "still"
 
-    def act(self, env: ReachVectorEnv, observation: Array, active: NDArray[np.bool_]) -> Array:  # noqa: ARG002
+    def act(self, env: ReachVectorEnv, observation: Array, active: NDArray[np.bool_]) -> Array:
         return np.zeros((env.num_envs, env.robot.num_cables))
 
 
@@ -33,7 +33,7 @@ class Known:
     def __init__(self, outcome: Callable[[Array], tuple[float | None, float]]) -> None:
         self.outcome, self.plans, self.observations = outcome, list[Array](), list[Array]()
 
-    def __call__(self, controller: Nudged, env: ReachVectorEnv, observation: Array) -> Rollout:  # noqa: ARG002
+    def __call__(self, controller: Nudged, env: ReachVectorEnv, observation: Array) -> Rollout:
         self.plans.append(np.array(controller._plans))
         self.observations.append(observation.copy())
         found = [self.outcome(plan) for plan in controller._plans]
@@ -41,7 +41,9 @@ class Known:
         length = np.array([250 if length is None else round(length) for length, _ in found])
         nearest, nothing = np.array([near for _, near in found]), np.zeros(0)
         # In the end a plan that was near is far: only on the way it was not.
-        return Rollout(nothing, nothing, nothing, nothing, success, success, length, 1 - nearest, nearest)
+        return Rollout(
+            nothing, nothing, nothing, nothing, success, success, length, 1 - nearest, nearest
+        )
 
     def best(self) -> tuple[float, float, float]:
         """Of all plans tried: whether one succeeds, the least length of those that do, the least distance of all."""
@@ -56,7 +58,11 @@ def improved(
     """Outcomes, and eta."""
     monkeypatch.setattr(search, "rollout", known)
     env = ReachVectorEnv(
-        NUM, "planar-single", max_steps=25, autoreset_mode="Disabled", disturbances=Disturbances(base_noise=noise)
+        NUM,
+        "planar-single",
+        max_steps=25,
+        autoreset_mode="Disabled",
+        disturbances=Disturbances(base_noise=noise),
     )
     try:
         eta = np.array([servo.eta for servo in env.robot.servos])
@@ -65,15 +71,24 @@ def improved(
         env.close()
 
 
-def test_where_all_miss_the_plan_that_came_nearest_is_what_is_found(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_where_all_miss_the_plan_that_came_nearest_is_what_is_found(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     known = Known(lambda plan: (None, 0.5 + 0.01 * plan[1, 0]))
     alone, best, _ = improved(monkeypatch, known, 1)
     assert (alone.reached, alone.nearest) == (0, 0.5)
     assert best.nearest == known.best()[2] < 0.5
 
 
-def test_a_plan_that_succeeds_late_is_before_one_that_fails_near(monkeypatch: pytest.MonkeyPatch) -> None:
-    known = Known(lambda plan: (240 - 10 * plan[0, 0] if plan[0, 0] > 1 else None, 0.04 + 0.01 * abs(plan[0, 0])))
+def test_a_plan_that_succeeds_late_is_before_one_that_fails_near(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    known = Known(
+        lambda plan: (
+            240 - 10 * plan[0, 0] if plan[0, 0] > 1 else None,
+            0.04 + 0.01 * abs(plan[0, 0]),
+        )
+    )
     alone, best, _ = improved(monkeypatch, known, 1)
     assert alone.reached == 0
     assert (best.reached, best.length) == known.best()[:2]
@@ -93,7 +108,11 @@ def test_the_middle_and_width_of_a_round_are_of_the_best_sixth_of_the_one_before
         # Some 23 x 6 or more draws: their root mean square is within four standard errors.
         scaled = (plans[1:] - middle) / width
         assert abs(np.sqrt(np.square(scaled).mean()) - 1) < 4 / np.sqrt(2 * scaled.size)
-        kept = plans[np.argsort([round(known.outcome(plan)[0] or 0) for plan in plans], kind="stable")[: NUM // KEPT]]
+        kept = plans[
+            np.argsort([round(known.outcome(plan)[0] or 0) for plan in plans], kind="stable")[
+                : NUM // KEPT
+            ]
+        ]
         middle = (1 - FOLLOWED) * middle + FOLLOWED * kept.mean(0)
         width = (1 - FOLLOWED) * width + FOLLOWED * np.maximum(kept.std(0), LEAST_WIDTH * eta)
     assert (width >= 0.99 * LEAST_WIDTH * eta).all()
@@ -103,7 +122,9 @@ def test_each_try_has_disturbances_of_its_own(monkeypatch: pytest.MonkeyPatch) -
     known = Known(lambda plan: (100.0, 0.0))  # noqa: ARG005
     improved(monkeypatch, known, 3, noise=0.1)
     firsts = [observation[0, 10:13].tolist() for observation in known.observations]
-    assert len(firsts) == 1 + 3 + 2 + 1  # alone, the rounds, two that were found, and the best of all anew
+    assert (
+        len(firsts) == 1 + 3 + 2 + 1
+    )  # alone, the rounds, two that were found, and the best of all anew
     assert len({tuple(first) for first in firsts}) == len(firsts)
     for observation in known.observations:
         np.testing.assert_array_equal(observation[:, 6:9], np.tile(TARGET, (NUM, 1)))
@@ -112,5 +133,7 @@ def test_each_try_has_disturbances_of_its_own(monkeypatch: pytest.MonkeyPatch) -
 def test_an_outcome_is_of_all_tries() -> None:
     nothing, success = np.zeros(0), np.array([True, False, True, True])
     length, nearest = np.array([100, 250, 120, 90]), np.array([0.02, 0.5, 0.03, 0.03])
-    found = search._outcome(Rollout(nothing, nothing, nothing, nothing, success, success, length, np.ones(4), nearest))
+    found = search._outcome(
+        Rollout(nothing, nothing, nothing, nothing, success, success, length, np.ones(4), nearest)
+    )
     assert (found.reached, found.length, found.nearest) == (0.75, 140, 0.03)

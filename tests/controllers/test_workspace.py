@@ -8,20 +8,25 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from cdcsr.envs import TaskVectorEnv
+from cdcsr.envs.gym_env import TaskVectorEnv
 from cdcsr.errors import CdcsrError
-from cdcsr.robot import load_robot
-from cdcsr.spaces import make_space
-from controllers.commands import workspace
+from cdcsr.robot.description import load_robot
+from cdcsr.tasks.spaces import make_space
 from controllers.demonstrations import rollout
 from controllers.jacobian import JacobianController
+from training.commands.workspace import workspace
 
 
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     out = tmp_path_factory.mktemp("map")
     workspace(
-        "planar-single", out=out / "map.npz", spacing=0.2, frame_skip=10, plot=out / "map.png", json=out / "map.json"
+        "planar-single",
+        out=out / "map.npz",
+        spacing=0.2,
+        frame_skip=10,
+        plot=out / "map.png",
+        json=out / "map.json",
     )
     return out
 
@@ -38,7 +43,11 @@ def test_a_map_surrounds_the_anchor_space(folder: Path) -> None:
 @pytest.mark.parametrize("backend", ["mujoco", "pybullet"])
 @pytest.mark.parametrize("space", ["planar-single", "workspace"])
 def test_what_is_in_a_map_is_reached(folder: Path, backend: str, space: str) -> None:
-    robot, path = ("planar-single", str(folder / "map.npz")) if space == "planar-single" else ("paper", "workspace")
+    robot, path = (
+        ("planar-single", str(folder / "map.npz"))
+        if space == "planar-single"
+        else ("paper", "workspace")
+    )
     env = TaskVectorEnv(12, robot, backend, path, frame_skip=5, autoreset_mode="Disabled")
     observation, _ = env.reset(seed=3)
     assert rollout(JacobianController(env.robot), env, observation).success.sum() >= 11

@@ -8,14 +8,14 @@ from pathlib import Path
 
 import pytest
 import torch
-from small_study import small_study
-from tiny import FRAME_SKIP
 
-from cdcsr.robot import Robot, load_robot
-from controllers.commands import demonstrate
-from training.algorithms import TD3
-from training.config import Learner
-from training.replay import Batch
+from cdcsr.robot.description import Robot, load_robot
+from tests.support.small_study import small_study
+from tests.support.tiny import FRAME_SKIP
+from training.algorithms.td3 import TD3
+from training.commands.demonstrate import demonstrate
+from training.config.run_config import Learner
+from training.experience.replay import Batch
 
 _SIZE = 4
 
@@ -35,10 +35,15 @@ def small_batch(small_robot: Robot) -> Batch:
         return torch.rand(*shape, generator=generator) * 2 - 1
 
     return Batch(
-        uniform(_SIZE, size), uniform(_SIZE, cables), torch.rand(_SIZE, generator=generator),
-        torch.tensor([0.9, 0.0, 0.81, 0.9]), uniform(_SIZE, size), uniform(_SIZE, cables), uniform(_SIZE, cables),
+        uniform(_SIZE, size),
+        uniform(_SIZE, cables),
         torch.rand(_SIZE, generator=generator),
-    )  # fmt: skip
+        torch.tensor([0.9, 0.0, 0.81, 0.9]),
+        uniform(_SIZE, size),
+        uniform(_SIZE, cables),
+        uniform(_SIZE, cables),
+        torch.rand(_SIZE, generator=generator),
+    )
 
 
 @pytest.fixture(scope="session")
@@ -55,7 +60,9 @@ def make(small_robot: Robot) -> Callable[..., TD3]:
 
     def make(kind: type[TD3], **numbers: object) -> TD3:
         torch.manual_seed(3)
-        learner = dataclasses.replace(Learner(hidden=(16, 16), target_noise=0.0, batch_size=_SIZE), **numbers)
+        learner = dataclasses.replace(
+            Learner(hidden=(16, 16), target_noise=0.0, batch_size=_SIZE), **numbers
+        )
         return kind(small_robot, learner, torch.Generator().manual_seed(0))
 
     return make

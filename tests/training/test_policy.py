@@ -11,9 +11,9 @@ import pytest
 import torch
 
 from cdcsr.errors import CdcsrError
-from cdcsr.robot import load_robot
-from training.evaluation import evaluate
-from training.networks import Actor
+from cdcsr.robot.description import load_robot
+from training.measure.evaluation import evaluate
+from training.networks.actor_critic import Actor
 from training.policy import Policy, find_policy, load_policy
 
 
@@ -22,7 +22,9 @@ def folder(tmp_path: Path) -> Path:
     robot = load_robot("planar-single")
     torch.manual_seed(0)
     card = {"name": "test", "frame_skip": 2, "backend": "mujoco", "space": "anchor"}
-    Policy(Actor(robot, True, (8, 8), "relu"), robot, np.ones((2, 3)), card).save(tmp_path / "policy")
+    Policy(Actor(robot, True, (8, 8), "relu"), robot, np.ones((2, 3)), card).save(
+        tmp_path / "policy"
+    )
     return tmp_path / "policy"
 
 
@@ -31,7 +33,9 @@ def test_loaded_policy_acts_like_the_saved(folder: Path) -> None:
     torch.manual_seed(0)
     actor, policy = Actor(robot, True, (8, 8), "relu"), load_policy(folder)
     observation = torch.randn(5, 23 + robot.num_cables)
-    torch.testing.assert_close(policy.actor.command(observation), actor.command(observation), rtol=0, atol=0)
+    torch.testing.assert_close(
+        policy.actor.command(observation), actor.command(observation), rtol=0, atol=0
+    )
     assert policy.robot == robot
     assert policy.frame_skip == 2
     np.testing.assert_array_equal(policy.centers, np.ones((2, 3)))

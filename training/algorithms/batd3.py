@@ -8,7 +8,7 @@ import torch
 from torch import Tensor
 
 from training.algorithms.td3 import IMITATING, TD3
-from training.replay import Batch
+from training.experience.replay import Batch
 
 
 class BATD3(TD3):

@@ -10,9 +10,9 @@ from numpy.typing import NDArray
 from torch import Tensor
 from torch.nn import functional
 
-from cdcsr.robot import Robot
-from training.config import Learner
-from training.networks import Actor
+from cdcsr.robot.description import Robot
+from training.config.run_config import Learner
+from training.networks.actor_critic import Actor
 
 Progress = Callable[[int, float], None]
 
@@ -28,7 +28,9 @@ class BehaviourCloning:
 
     def __init__(self, robot: Robot, learner: Learner, generator: torch.Generator) -> None:
         self.learner = learner
-        self.actor = Actor(robot, learner.features == "state+error", learner.hidden, "tanh", learner.symmetry)
+        self.actor = Actor(
+            robot, learner.features == "state+error", learner.hidden, "tanh", learner.symmetry
+        )
         self._generator = generator
 
     def actions(self, observations: NDArray[np.float64]) -> NDArray[np.float32]:
@@ -58,9 +60,13 @@ def pairs(actor: Actor, observations: Tensor, commands: Tensor) -> tuple[Tensor,
 
 
 def imitate(
-    actor: Actor, learner: Learner, observations: Tensor, commands: Tensor, generator: torch.Generator,
+    actor: Actor,
+    learner: Learner,
+    observations: Tensor,
+    commands: Tensor,
+    generator: torch.Generator,
     progress: Progress,
-) -> None:  # fmt: skip
+) -> None:
     """Train an actor to do as it was shown.
 
     Args:

@@ -8,7 +8,7 @@ import torch
 from torch import Tensor
 
 from training.algorithms.td3 import IMITATING, TD3
-from training.replay import Batch
+from training.experience.replay import Batch
 
 
 class CLASP(TD3):
@@ -39,4 +39,8 @@ class CLASP(TD3):
         loss = -value.mean()
         if learner.scaled_values:
             loss = loss / expected.abs().mean().clamp_min(1e-3)
-        return loss + self.anchor_loss(action, batch) + self.self_imitation_loss(action, batch, expected)
+        return (
+            loss
+            + self.anchor_loss(action, batch)
+            + self.self_imitation_loss(action, batch, expected)
+        )

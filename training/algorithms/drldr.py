@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import ClassVar
 
-from cdcsr.task import Reward
+from cdcsr.tasks.task import Reward
 from training.algorithms.td3 import TD3
 
 

@@ -6,4 +6,4 @@ from training.algorithms.td3 import TD3
 
 
 class HER(TD3):
-    """TD3 that also learns from what it did reach: `hindsight` is above zero; see :mod:`training.hindsight`."""
+    """TD3 that also learns from what it did reach: `hindsight` is above zero; see :mod:`training.experience.hindsight`."""

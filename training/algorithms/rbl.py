@@ -10,7 +10,7 @@ from torch.nn import functional
 
 from training.algorithms.bc import pairs
 from training.algorithms.td3wd import TD3wD
-from training.replay import Batch
+from training.experience.replay import Batch
 
 
 class RBL(TD3wD):
@@ -32,6 +32,8 @@ class RBL(TD3wD):
         values = self.critics(encoded, action, drawn).mean(0)
         with torch.no_grad():
             share = (self.critics(encoded, batch.bc_action, drawn).mean(0) > values).float().mean()
-        chosen = torch.randint(len(self._shown), (self.learner.batch_size,), generator=self._generator)
+        chosen = torch.randint(
+            len(self._shown), (self.learner.batch_size,), generator=self._generator
+        )
         imitation = functional.mse_loss(self.actor(self._shown[chosen]), self._wanted[chosen])
         return share * imitation - (1 - share) * values.mean()

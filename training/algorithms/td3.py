@@ -14,12 +14,12 @@ import torch
 from torch import Tensor
 from torch.nn import functional
 
-from cdcsr.robot import Robot
-from cdcsr.task import Reward
-from training.config import Learner
-from training.networks import Actor, Critics
-from training.precision import products
-from training.replay import Batch
+from cdcsr.robot.description import Robot
+from cdcsr.tasks.task import Reward
+from training.config.run_config import Learner
+from training.experience.replay import Batch
+from training.networks.actor_critic import Actor, Critics
+from training.networks.bfloat16 import products
 
 IMITATING = frozenset({"clone_anchor", "anchor_updates", "anchor_floor", "self_imitation"})
 """The numbers of a learner whose actor is held to the clone, and to what went well."""
@@ -50,15 +50,21 @@ class TD3:
 
     def __init__(self, robot: Robot, learner: Learner, generator: torch.Generator) -> None:
         self.learner = learner
-        self.actor = Actor(robot, learner.features == "state+error", learner.hidden, "relu", learner.symmetry)
+        self.actor = Actor(
+            robot, learner.features == "state+error", learner.hidden, "relu", learner.symmetry
+        )
         inputs = self.actor.encoder.size + robot.num_cables
         self.critics = Critics(inputs, learner.hidden, learner.critics, learner.layer_norm)
         self.target_actor = copy.deepcopy(self.actor).requires_grad_(False)
         self.target_critics = copy.deepcopy(self.critics).requires_grad_(False)
         self._actor_parameters = list(self.actor.parameters())
         self._critic_parameters = list(self.critics.parameters())
-        self.actor_optimizer = torch.optim.Adam(self._actor_parameters, lr=learner.learning_rate, fused=True)
-        self.critic_optimizer = torch.optim.Adam(self._critic_parameters, lr=learner.learning_rate, fused=True)
+        self.actor_optimizer = torch.optim.Adam(
+            self._actor_parameters, lr=learner.learning_rate, fused=True
+        )
+        self.critic_optimizer = torch.optim.Adam(
+            self._critic_parameters, lr=learner.learning_rate, fused=True
+        )
         self.updates = 0
         self._generator = generator
 
@@ -104,7 +110,7 @@ class TD3:
             for group in optimizer.param_groups:
                 group["lr"] = learner.learning_rate * (1 - gone)
 
-    def next_value(self, encoded: Tensor, batch: Batch) -> Tensor:  # noqa: ARG002 (for variants)
+    def next_value(self, encoded: Tensor, batch: Batch) -> Tensor:
         """Value to bootstrap from at the end of each transition, shape (B,): TD3's smoothed target policy."""
         return self.target_value(encoded, self.smoothed_target_action(encoded))
 
@@ -112,7 +118,9 @@ class TD3:
         """The target policy's action with clipped noise (Fujimoto et al. 2018, eq. 15), shape (B, C)."""
         action = self.target_actor(encoded)
         noise = torch.randn(action.shape, generator=self._generator) * self.learner.target_noise
-        return (action + noise.clamp(-self.learner.noise_clip, self.learner.noise_clip)).clamp(-1, 1)
+        return (action + noise.clamp(-self.learner.noise_clip, self.learner.noise_clip)).clamp(
+            -1, 1
+        )
 
     def target_value(self, encoded: Tensor, action: Tensor) -> Tensor:
         """Minimum over Z target critics drawn at random (Chen et al. 2021, eq. 1), shape (B,).
@@ -123,7 +131,11 @@ class TD3:
 
     def _draw_critics(self) -> list[int] | None:
         num, drawn = self.learner.critics, self.learner.target_critics
-        return None if drawn == num else torch.randperm(num, generator=self._generator)[:drawn].tolist()
+        return (
+            None
+            if drawn == num
+            else torch.randperm(num, generator=self._generator)[:drawn].tolist()
+        )
 
     def _update_actor(self, encoded: Tensor, batch: Batch) -> Tensor:
         loss = self.actor_loss(encoded, batch)
@@ -138,10 +150,14 @@ class TD3:
         logits = self.actor.net(encoded)
         loss = self.policy_loss(encoded, torch.tanh(logits), batch)
         if self.learner.saturation_penalty > 0:
-            loss = loss + self.learner.saturation_penalty * functional.relu(logits.abs() - 3).square().mean()
+            loss = (
+                loss
+                + self.learner.saturation_penalty
+                * functional.relu(logits.abs() - 3).square().mean()
+            )
         return loss
 
-    def policy_loss(self, encoded: Tensor, action: Tensor, batch: Batch) -> Tensor:  # noqa: ARG002 (for variants)
+    def policy_loss(self, encoded: Tensor, action: Tensor, batch: Batch) -> Tensor:
         """Minus the critics' mean at the actor's own action."""
         return -self.drawn_values(encoded, action).mean()
 

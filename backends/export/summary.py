@@ -1,0 +1,115 @@
+"""What a robot amounts to, and whether the engines agree on its mass matrix."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+
+from cdcsr.robot.description import Robot
+from cdcsr.robot.routing import routing
+from cdcsr.simulation.contract import Array
+from cdcsr.simulation.engines import make_simulation
+
+_BEND = 0.3
+"""Largest hinge angle of the bent state, in [rad]; less where a hinge's limit is closer."""
+
+
+def summarize(robot: Robot, backends: Sequence[str]) -> dict[str, Any]:
+    """The robot in numbers, ready for JSON.
+
+    `mass_matrix_difference` holds, for each engine but the first, the largest difference of an entry M_ij from
+    the first engine's, relative to sqrt(M_ii M_jj); straight, and in one random bent state.
+    """
+    route = routing(robot)
+    segments = [s for s, segment in enumerate(robot.segments) for _ in segment.cables.angles_deg]
+    return {
+        "robot": robot.name,
+        "fingerprint": robot.fingerprint,
+        "bodies": 1 + robot.num_cables + robot.num_links,
+        "degrees_of_freedom": robot.num_coordinates,
+        "total_mass": robot.total_mass,
+        "center_of_mass": (_center_of_mass(robot).round(12) + 0.0).tolist(),
+        "cables": [
+            {"name": f"cable_{c}", "segment": s, "rest_length": float(route.rest_length[c])}
+            for c, s in enumerate(segments)
+        ],
+        "backends": list(backends),
+        "mass_matrix_difference": _mass_matrix_differences(robot, backends),
+    }
+
+
+def show(summary: dict[str, Any]) -> str:
+    """A summary as text to read."""
+    cables = summary["cables"]
+    x, y, z = summary["center_of_mass"]
+    lines = [
+        f"robot               {summary['robot']} ({summary['fingerprint']})",
+        f"bodies              {summary['bodies']}",
+        f"degrees of freedom  {summary['degrees_of_freedom']}",
+        f"total mass          {summary['total_mass']:.6g} kg",
+        f"centre of mass      ({x:.6g}, {y:.6g}, {z:.6g}) m, straight",
+        f"cables              {len(cables)}, rest lengths in m:",
+    ]
+    for s in range(max(cable["segment"] for cable in cables) + 1):
+        lengths = [f"{cable['rest_length']:.6g}" for cable in cables if cable["segment"] == s]
+        lines.append(f"  segment {s}         {', '.join(lengths)}")
+    first = summary["backends"][0]
+    for backend, difference in summary["mass_matrix_difference"].items():
+        lines.append(
+            f"mass matrix         {backend} differs from {first} by {difference['straight']:.1e} straight, "
+            f"{difference['bent']:.1e} bent (largest relative difference)"
+        )
+    return "\n".join(lines)
+
+
+def _center_of_mass(robot: Robot) -> Array:
+    """Of the straight robot in the world frame, shape (3,), in [m]."""
+    route = routing(robot)
+    moment, height = np.zeros(3), robot.top
+    for link, _ in robot.links:
+        moment[2] += link.mass * (height + link.length / 2)
+        height += link.length
+    for servo, place, offset in zip(
+        robot.servos, route.place, route.guide_offset + route.slider_offset, strict=True
+    ):
+        moment += servo.mass * np.array([*place, robot.top - offset])
+    return moment / robot.total_mass
+
+
+def _mass_matrix_differences(robot: Robot, backends: Sequence[str]) -> dict[str, dict[str, float]]:
+    if len(backends) < 2:
+        return {}
+    matrices = {backend: _mass_matrices(robot, backend) for backend in backends}
+    first = matrices.pop(backends[0])
+    diagonal = np.sqrt(np.diagonal(first, axis1=1, axis2=2))
+    scale = diagonal[:, :, None] * diagonal[:, None, :]
+    differences = {
+        backend: (np.abs(other - first) / scale).max(axis=(1, 2))
+        for backend, other in matrices.items()
+    }
+    return {name: {"straight": float(d[0]), "bent": float(d[1])} for name, d in differences.items()}
+
+
+def _mass_matrices(robot: Robot, backend: str) -> Array:
+    """Of two copies, one straight and one bent with its base turned, shape (2, nv, nv)."""
+    random = np.random.default_rng(0)
+    limit = min([_BEND, *(joint.limit for _, joint in robot.links)])
+    quaternion = random.normal(size=4)
+    bent = [
+        random.uniform(-1, 1, 3),
+        quaternion / np.linalg.norm(quaternion),
+        -0.1 * np.array([servo.offset for servo in robot.servos]),
+        random.uniform(-limit, limit, robot.num_hinges),
+    ]
+    simulation = make_simulation(robot, backend, num=2)
+    try:
+        start = simulation.get_snapshot()
+        position = np.stack([start.position[0], np.concatenate(bent)])
+        # No engine made this snapshot, so none may read more from it than positions and velocities.
+        simulation.set_snapshot(replace(start, engine="", position=position))
+        return simulation.dynamics().mass_matrix
+    finally:
+        simulation.close()

@@ -1,0 +1,1 @@
+"""How far apart engines are: one state, one step, the same commands without feedback."""

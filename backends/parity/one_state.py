@@ -1,0 +1,163 @@
+"""Level 1: the equation of motion at random states, in every engine and, where there is one, in closed form."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from backends.parity.checks import Check, Engines, reference_of
+from cdcsr.robot.description import Robot
+from cdcsr.robot.routing import cable_jacobian, cable_lengths, routing
+from cdcsr.simulation.contract import Dynamics, Snapshot
+
+Array = NDArray[np.float64]
+
+RELATIVE = 1e-10
+"""Of matrices and forces."""
+LENGTH = 1e-9
+"""Of cables, in [m]."""
+_BEND = 0.8
+"""Largest hinge angle of a random state, as a part of the hinge's limit."""
+
+
+def random_states(robot: Robot, num: int, seed: int) -> Snapshot:
+    """Robots turned and bent at random, every coordinate in motion, about half of the cables slack.
+
+    No engine made this snapshot, so none reads more from it than positions and velocities.
+    """
+    rng = np.random.default_rng(seed)
+    quaternion = rng.normal(size=(num, 4))
+    quaternion /= np.linalg.norm(quaternion, axis=1, keepdims=True)
+    limits = np.repeat([joint.limit for _, joint in robot.links], 2)
+    hinges = _BEND * limits * rng.uniform(-1, 1, (num, robot.num_hinges))
+    route = routing(robot)
+    # A slider at minus its cable's excess length makes the cable just taut: shifted from there, it pulls or is slack.
+    excess = cable_lengths(route, np.zeros((num, robot.num_cables)), hinges) - route.rest_length
+    shift = 0.1 * route.slider_offset * rng.uniform(-1, 1, (num, robot.num_cables))
+    travel = np.minimum(excess + shift, 0.5 * route.slider_offset)
+    position = np.concatenate([rng.uniform(-1, 1, (num, 3)), quaternion, travel, hinges], axis=1)
+    velocity = rng.uniform(-1, 1, (num, robot.num_coordinates))
+    return Snapshot("", robot.fingerprint, np.zeros(num), position, velocity, np.zeros((num, 0)))
+
+
+def one_state(robot: Robot, engines: Engines, num: int = 16, seed: int = 0) -> list[Check]:
+    """Compare every engine's equation of motion with the reference's, and every engine's cables with the closed form.
+
+    An engine that steps with an evaluation of its own is compared twice; that one is called "<engine> step".
+    """
+    states = random_states(robot, num, seed)
+    found: dict[str, Dynamics] = {}
+    for name, make in engines.items():
+        simulation = make(robot, num)
+        simulation.set_snapshot(states)
+        found[name] = simulation.dynamics()
+        own = simulation.step_dynamics()
+        if own is not None:
+            found[f"{name} step"] = own
+        simulation.close()
+    reference = reference_of(engines)
+    checks = []
+    for name, dynamics in found.items():
+        if name != reference:
+            checks += list(compare(robot, dynamics, found[reference], f"{name} - {reference}"))
+    for name, dynamics in found.items():
+        checks += list(_compare_cables(robot, dynamics, states, f"{name} - closed form"))
+    return checks
+
+
+def compare(robot: Robot, one: Dynamics, other: Dynamics, pair: str) -> Iterator[Check]:
+    """The checks of one equation of motion against another at the same states."""
+    names = coordinate_names(robot)
+    diagonal = np.sqrt(np.diagonal(other.mass_matrix, axis1=1, axis2=2))
+    scale = diagonal[:, :, None] * diagonal[:, None, :]
+    difference = (one.mass_matrix - other.mass_matrix) / scale
+    yield _worst("mass matrix", pair, difference, RELATIVE, "relative", [names, names])
+
+    tips = generalized_tip_jacobian(one), generalized_tip_jacobian(other)
+    difference = _by_column(tips[0] - tips[1], tips[1])
+    yield _worst(
+        "generalized tip Jacobian",
+        pair,
+        difference,
+        RELATIVE,
+        "relative",
+        [["x", "y", "z"], names[6:]],
+    )
+
+    for label, ours, theirs in (
+        ("bias force", one.bias_force, other.bias_force),
+        ("passive force", one.passive_force, other.passive_force),
+    ):
+        difference = (ours - theirs) / np.abs(theirs).max(axis=1, keepdims=True)
+        yield _worst(label, pair, difference, RELATIVE, "relative", [names])
+
+    cables = cable_names(robot)
+    yield _worst("cable length", pair, one.cable_length - other.cable_length, LENGTH, "m", [cables])
+    difference = _by_column(one.cable_jacobian - other.cable_jacobian, other.cable_jacobian)
+    yield _worst("cable Jacobian", pair, difference, RELATIVE, "relative", [cables, names])
+
+
+def generalized_tip_jacobian(dynamics: Dynamics) -> Array:
+    """Tip velocity per slider and hinge rate while momentum is conserved at zero, shape (n, 3, C + 2 J).
+
+    The base gives way to the arm: M_bb v_base + M_bj v_joints = 0.
+    """
+    mass, tip = dynamics.mass_matrix, dynamics.tip_jacobian
+    return tip[:, :, 6:] - tip[:, :, :6] @ np.linalg.solve(mass[:, :6, :6], mass[:, :6, 6:])
+
+
+def coordinate_names(robot: Robot) -> list[str]:
+    """The coordinates in their order."""
+    base = [f"base {kind} {axis}" for kind in ("linear", "angular") for axis in "xyz"]
+    hinges = [f"hinge_{j}_{axis}" for j in range(robot.num_links) for axis in "xy"]
+    return base + [f"slide_{c}" for c in range(robot.num_cables)] + hinges
+
+
+def cable_names(robot: Robot) -> list[str]:
+    """The cables in their order."""
+    return [f"cable_{c}" for c in range(robot.num_cables)]
+
+
+def _compare_cables(
+    robot: Robot, dynamics: Dynamics, states: Snapshot, pair: str
+) -> Iterator[Check]:
+    route, joints = routing(robot), states.position[:, 7:]
+    travel, hinges = joints[:, : robot.num_cables], joints[:, robot.num_cables :]
+    names, cables = coordinate_names(robot), cable_names(robot)
+    difference = dynamics.cable_length - cable_lengths(route, travel, hinges)
+    yield _worst("cable length", pair, difference, LENGTH, "m", [cables])
+    exact = np.zeros_like(dynamics.cable_jacobian)
+    exact[:, :, 6:] = cable_jacobian(route, travel, hinges)
+    difference = _by_column(dynamics.cable_jacobian - exact, exact)
+    yield _worst("cable Jacobian", pair, difference, RELATIVE, "relative", [cables, names])
+
+
+def _by_column(difference: Array, of: Array) -> Array:
+    """Relative to the column's largest entry, because columns differ in unit.
+
+    A column that is zero but for rounding (no cable feels the base) is measured by the whole matrix's largest.
+    """
+    column = np.abs(of).max(axis=1, keepdims=True)
+    whole = column.max(axis=2, keepdims=True)
+    return difference / np.where(column > 1e-9 * whole, column, whole)
+
+
+def _worst(
+    name: str,
+    pair: str,
+    difference: Array,
+    tolerance: float,
+    unit: str,
+    axes: Sequence[Sequence[str]],
+) -> Check:
+    """The check of the largest difference, shape (n, ...), with the names of its place along the other axes."""
+    size = np.where(np.isnan(difference), np.inf, np.abs(difference))
+    _, *place = np.unravel_index(int(size.argmax()), size.shape)
+    where = (
+        ""
+        if not size.any()
+        else ", ".join(dict.fromkeys(labels[int(i)] for labels, i in zip(axes, place, strict=True)))
+    )
+    return Check(1, name, pair, float(size.max()), tolerance, unit, where)

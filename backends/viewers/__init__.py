@@ -1,0 +1,1 @@
+"""Pictures of a robot, drawn without a display."""

@@ -1,0 +1,224 @@
+"""Pictures of a robot by PyBullet's software renderer, which needs no display and no graphics driver.
+
+What is drawn is only ever posed, never simulated, so positions from any engine can be drawn.
+"""
+
+from __future__ import annotations
+
+import weakref
+
+import numpy as np
+import pybullet
+import trimesh
+from numpy.typing import ArrayLike, NDArray
+from scipy.spatial.transform import Rotation
+from trimesh.visual import ColorVisuals
+
+from backends.pybullet.client import connect
+from backends.pybullet.dynamics import Frames, chain, forward_kinematics
+from cdcsr.errors import CdcsrError, unknown_choice
+from cdcsr.robot.description import Robot
+from cdcsr.robot.meshes import visual_meshes
+from cdcsr.robot.routing import routing
+from cdcsr.simulation.contract import CAMERAS
+
+Array = NDArray[np.float64]
+
+HEIGHT, WIDTH = 640, 480
+"""Size of a picture: upright, as the robot is."""
+TARGET_RADIUS, TIP_RADIUS, CABLE_RADIUS = 0.018, 0.010, 0.002
+"""[m]."""
+TARGET_COLOR = (235, 45, 60, 255)
+TIP_COLOR = (25, 160, 70, 255)
+CABLE_COLOR = (60, 60, 66, 255)
+BACKGROUND = (246, 247, 250)
+_OVERSAMPLING = 2
+_MARGIN = 0.12
+"""Free space around the robot as a share of its height."""
+_FIELD_OF_VIEW = 25.0
+"""Vertical, in degrees; narrow, so that the arm's far end is hardly smaller."""
+_FAR_AWAY = (0.0, 0.0, -1e3)
+
+
+class Renderer:
+    """Draws one robot with the meshes of :mod:`cdcsr.robot.meshes`, its cables, its tip, and targets."""
+
+    def __init__(self, robot: Robot) -> None:
+        self._client = connect(robot)
+        self._disconnect = weakref.finalize(self, pybullet.disconnect, self._client)
+        self._chain, self._route = chain(robot), routing(robot)
+        meshes = visual_meshes(robot)
+        segment_of = [s for s, segment in enumerate(robot.segments) for _ in range(segment.links)]
+        self._parts = [self._mesh(meshes["base"])] + [
+            self._mesh(meshes[f"link_{s}"]) for s in segment_of
+        ]
+        self._tip = self._ball(TIP_RADIUS, TIP_COLOR)
+        self._targets: list[int] = []
+        straight = np.zeros(7 + robot.num_cables + robot.num_hinges)
+        straight[3] = 1.0
+        frames = forward_kinematics(self._chain, straight)
+        self._cables = [self._line(end - start) for start, end in self._cable_pieces(frames)]
+        self._low, self._high = -robot.top, robot.top + robot.arm_length
+
+    def draw(
+        self,
+        position: Array,
+        camera: str = "side",
+        targets: ArrayLike = (),
+        size: tuple[int, int] = (HEIGHT, WIDTH),
+        focus: tuple[ArrayLike, float] | None = None,
+    ) -> NDArray[np.uint8]:
+        """A picture of the robot.
+
+        Args:
+            position: one row of a Snapshot's position, shape (7 + C + 2 J,).
+            camera: name of a view in :data:`cdcsr.simulation.contract.CAMERAS`.
+            targets: points to mark, shape (n, 3), world frame, in [m].
+            size: height and width of the picture in pixels.
+            focus: a point in the world to look at, and how high a part of the world around it to show, both in [m];
+                by default the whole robot.
+
+        Returns:
+            Shape (height, width, 3).
+
+        Raises:
+            CdcsrError: no such camera.
+        """
+        if camera not in CAMERAS:
+            raise CdcsrError(unknown_choice("camera", camera, CAMERAS))
+        self._pose(np.asarray(position, dtype=float))
+        self._mark(np.asarray(targets, dtype=float).reshape(-1, 3))
+        height, width = (_OVERSAMPLING * side for side in size)
+        whole = self._high - self._low
+        center, span = focus or (
+            (0.0, 0.0, (self._low + self._high) / 2),
+            (1 + 2 * _MARGIN) * whole,
+        )
+        view, light, distance = _look(camera, np.asarray(center, dtype=float), span)
+        lens = pybullet.computeProjectionMatrixFOV(
+            _FIELD_OF_VIEW, width / height, 0.1, distance + 5 * whole
+        )
+        _, _, pixels, _, mask = pybullet.getCameraImage(
+            width,
+            height,
+            viewMatrix=view,
+            projectionMatrix=lens,
+            lightDirection=light,
+            lightColor=(1.0, 1.0, 1.0),
+            lightAmbientCoeff=0.55,
+            lightDiffuseCoeff=0.45,
+            lightSpecularCoeff=0.08,
+            shadow=0,
+            renderer=pybullet.ER_TINY_RENDERER,
+            physicsClientId=self._client,
+        )
+        image = np.array(pixels, dtype=np.uint16).reshape(height, width, 4)[..., :3]
+        image[np.array(mask).reshape(height, width) < 0] = BACKGROUND
+        steps = range(_OVERSAMPLING)
+        total = np.sum(
+            [image[i::_OVERSAMPLING, j::_OVERSAMPLING] for i in steps for j in steps], axis=0
+        )
+        return (total // _OVERSAMPLING**2).astype(np.uint8)
+
+    def close(self) -> None:
+        """Release the client; closing twice does nothing."""
+        self._disconnect()
+
+    def _pose(self, position: Array) -> None:
+        origin, frames = position[:3], forward_kinematics(self._chain, position)
+        places = np.concatenate([np.zeros((1, 3)), frames.joint[:-1]])
+        turns = Rotation.from_matrix(frames.axes.transpose(0, 2, 1)).as_quat()
+        for bodies, place, turn in zip(self._parts, places, turns, strict=True):
+            for body in bodies:
+                self._put(body, origin + place, turn)
+        self._put(self._tip, origin + frames.joint[-1])
+        for line, (start, end) in zip(self._cables, self._cable_pieces(frames), strict=True):
+            self._put(line, origin + (start + end) / 2, _turn_to(end - start))
+
+    def _mark(self, targets: Array) -> None:
+        while len(self._targets) < len(targets):
+            self._targets.append(self._ball(TARGET_RADIUS, TARGET_COLOR))
+        for ball in self._targets:
+            self._put(ball, np.array(_FAR_AWAY))
+        for ball, target in zip(self._targets, targets, strict=False):
+            self._put(ball, target)
+
+    def _cable_pieces(self, frames: Frames) -> list[tuple[Array, Array]]:
+        """The straight pieces of every cable outside the base, from guide to guide, relative to the base's centre."""
+        pieces = []
+        for place, offset, joints in zip(
+            self._route.place, self._route.guide_offset, self._route.joints, strict=True
+        ):
+            across = np.array([*place, 0.0]) @ frames.axes  # on the base and on each link
+            up = frames.axes[:, 2]
+            for n in range(joints):
+                below = frames.joint[n] + across[n] - offset * up[n]
+                above = frames.joint[n] + across[n + 1] + offset * up[n + 1]
+                end = frames.joint[n + 1] + across[n + 1] - offset * up[n + 1]
+                pieces += [(below, above), (above, end)]
+        return pieces
+
+    def _mesh(self, mesh: trimesh.Trimesh) -> list[int]:
+        """Bodies that look like a mesh, one for each of its colours."""
+        bodies = []
+        assert isinstance(mesh.visual, ColorVisuals)
+        colors = np.asarray(mesh.visual.face_colors)
+        for color in np.unique(colors, axis=0):
+            faces = (colors == color).all(axis=1)
+            corners = mesh.triangles[faces].reshape(-1, 3)  # not shared, so that edges stay sharp
+            shape = pybullet.createVisualShape(
+                pybullet.GEOM_MESH,
+                vertices=corners.tolist(),
+                indices=list(range(len(corners))),
+                normals=np.repeat(mesh.face_normals[faces], 3, axis=0).tolist(),
+                rgbaColor=(color / 255).tolist(),
+                physicsClientId=self._client,
+            )
+            bodies.append(
+                pybullet.createMultiBody(baseVisualShapeIndex=shape, physicsClientId=self._client)
+            )
+        return bodies
+
+    def _ball(self, radius: float, color: tuple[int, ...]) -> int:
+        (body,) = self._mesh(_coloured(trimesh.creation.icosphere(2, radius), color))
+        return body
+
+    def _line(self, along: Array) -> int:
+        (body,) = self._mesh(
+            _coloured(
+                trimesh.creation.cylinder(CABLE_RADIUS, np.linalg.norm(along), sections=8),
+                CABLE_COLOR,
+            )
+        )
+        return body
+
+    def _put(self, body: int, place: Array, quaternion: ArrayLike = (0.0, 0.0, 0.0, 1.0)) -> None:
+        """Pose a body; PyBullet's quaternions are x-y-z-w."""
+        turn = np.asarray(quaternion).tolist()
+        pybullet.resetBasePositionAndOrientation(
+            body, place.tolist(), turn, physicsClientId=self._client
+        )
+
+
+def _coloured(mesh: trimesh.Trimesh, color: tuple[int, ...]) -> trimesh.Trimesh:
+    mesh.visual = ColorVisuals(mesh, face_colors=color)
+    return mesh
+
+
+def _look(camera: str, center: Array, span: float) -> tuple[list[float], list[float], float]:
+    """View matrix, direction towards the light, which stands above the camera's shoulder, and the eye's distance."""
+    azimuth, elevation = np.deg2rad(CAMERAS[camera])
+    flat = np.array([np.sin(azimuth), -np.cos(azimuth), 0.0])
+    toward_eye = np.cos(elevation) * flat - np.sin(elevation) * np.array([0.0, 0.0, 1.0])
+    distance = span / 2 / np.tan(np.deg2rad(_FIELD_OF_VIEW) / 2)
+    view = pybullet.computeViewMatrix(center + distance * toward_eye, center, (0, 0, 1))
+    shoulder = np.cross((0.0, 0.0, 1.0), toward_eye)
+    return view, list(toward_eye + 0.6 * shoulder + np.array([0.0, 0.0, 0.8])), distance
+
+
+def _turn_to(direction: Array) -> Array:
+    """A quaternion x-y-z-w that turns the z axis into a direction."""
+    x, y, z = direction / np.linalg.norm(direction)
+    turn = np.array([-y, x, 0.0, 1.0 + z])
+    length = np.linalg.norm(turn)
+    return turn / length if length > 1e-9 else np.array([1.0, 0.0, 0.0, 0.0])

@@ -1,0 +1,1 @@
+"""The robot: its description, the paths of its cables, its meshes."""

@@ -1,0 +1,354 @@
+"""The description of a cable-driven continuum space robot, read from and written to TOML.
+
+A robot is a free-floating base with a serial arm of rigid links. Each link hangs on a universal joint
+(two crossed hinges, first about x, then about y) at its lower end, and links are grouped into segments.
+Every segment has its own cables. A cable runs from a servo-driven slider inside the base through two
+guides on each link it passes, to its anchor: the upper guide of the last link of its own segment.
+
+Lengths in [m], masses in [kg], angles in [rad] unless a name says degrees. The arm points along +z.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import tomllib
+from collections.abc import Iterator
+from importlib import resources
+from pathlib import Path
+from typing import Annotated, Any, Literal, Self
+
+import tomli_w
+from pydantic import (
+    AfterValidator,
+    BaseModel,
+    ConfigDict,
+    Field,
+    Strict,
+    ValidationError,
+    model_validator,
+)
+from pydantic_core import InitErrorDetails, PydanticCustomError
+
+from cdcsr.errors import CdcsrError, unknown_choice
+from cdcsr.robot.toml_errors import again, describe
+
+Positive = Annotated[float, Field(gt=0)]
+NonNegative = Annotated[float, Field(ge=0)]
+Vector = Annotated[tuple[float, float, float], Strict(False)]
+
+
+def _possible_inertia(inertia: tuple[float, float, float]) -> tuple[float, float, float]:
+    """Principal moments of a rigid body are positive and none exceeds the sum of the other two."""
+    low, mid, high = sorted(inertia)
+    if low <= 0:
+        raise ValueError("principal moments of inertia must be positive")
+    if high > (low + mid) * (1 + 1e-9):
+        raise ValueError(
+            f"no rigid body has this inertia: {high:g} exceeds {low:g} + {mid:g} "
+            "(the largest principal moment is at most the sum of the other two)"
+        )
+    return inertia
+
+
+Inertia = Annotated[Vector, AfterValidator(_possible_inertia)]
+
+
+class Part(BaseModel):
+    """A frozen section of the description: unknown keys and wrong types are errors."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid", strict=True, allow_inf_nan=False)
+
+
+class Base(Part):
+    """The free-floating base: a box whose centre is the world origin at the start."""
+
+    size: Annotated[tuple[Positive, Positive, Positive], Strict(False)]
+    """Edge lengths along x, y, z in [m]."""
+    mass: Positive
+    """Mass in [kg], sliders not included."""
+    inertia: Inertia
+    """Principal moments about the centre in [kg m^2]."""
+
+
+class Link(Part):
+    """One rigid link: a cylinder along z, its universal joint at the lower end."""
+
+    length: Positive
+    radius: Positive
+    mass: Positive
+    inertia: Inertia
+    """Principal moments about the link's centre in [kg m^2]."""
+
+
+class Joint(Part):
+    """Each of the two crossed hinges of a link."""
+
+    stiffness: NonNegative
+    """[N m/rad]; the rest angle is zero."""
+    damping: NonNegative
+    """[N m s/rad]."""
+    limit: Annotated[float, Field(gt=0, le=3.141592653589793)]
+    """Largest angle of a hinge to either side in [rad]."""
+
+
+class Cables(Part):
+    """The cables that end at the top of one segment."""
+
+    angles_deg: Annotated[tuple[float, ...], Strict(False), Field(min_length=3)]
+    """Direction of each cable around z, in degrees from x."""
+    pitch_radius: Positive
+    """Distance of the cables from the arm's axis in [m]."""
+    guide_offset: Positive
+    """Distance of each guide from the nearer end of its link (in the base: below its top face) in [m]."""
+
+
+class Servo(Part):
+    """The slider that pulls one cable, and the position servo that moves it."""
+
+    mass: Positive
+    """Mass of the slider in [kg]."""
+    damping: NonNegative
+    """Viscous friction of the slider in [N s/m]."""
+    gain: Positive
+    """Servo force per set-point error in [N/m]."""
+    eta: Positive
+    """Largest pull: set-points lie in [-eta, 0], in [m]."""
+    radius: Positive
+    """The slider is a solid ball of this radius, in [m]."""
+    offset: Positive
+    """Distance of the slider at rest below the cable's first guide, in [m]."""
+
+
+class Segment(Part):
+    """A group of equal links and the cables that end on the last of them."""
+
+    links: Annotated[int, Field(ge=1)]
+    link: Link
+    joint: Joint
+    cables: Cables
+    servo: Servo
+
+
+class Constraint(Part):
+    """Unilateral constraints: cables (never longer than at rest) and hinge limits."""
+
+    recovery_time: Positive
+    """Time constant in which an excess of length or angle is taken back, in [s]; at least two time steps."""
+
+
+class Workspace(Part):
+    """Where the robot is asked to work: the cuboid of the Anchor Space."""
+
+    center: Vector
+    """In the world frame, in [m]."""
+    size: Annotated[tuple[NonNegative, NonNegative, NonNegative], Strict(False)]
+    """Edge lengths in [m]; zero for a plane or a line."""
+
+
+class MujocoOptions(Part):
+    """Numbers only MuJoCo has."""
+
+    integrator: Literal["implicitfast", "implicit", "Euler"] = "implicitfast"
+    """Of the model files, for stock MuJoCo. The simulation has dampers implicit, and nothing else, whatever it is."""
+    impedance: Annotated[float, Field(gt=0, lt=1)] = 0.999
+    """Impedance (solimp dmin = dmax) of hinge limits and, in the model files, of cables; 1 is rigid. Too near to 1,
+    a taut cable of the model files that shrinks by nanometres is slack for a step, in which its slider flies free."""
+
+
+class Robot(Part):
+    """A whole robot. Load one with :func:`load_robot`."""
+
+    name: Annotated[str, Field(pattern=r"^[a-z][a-z0-9-]*$")]
+    """Lower-case letters, digits and hyphens."""
+    time_step: Positive
+    """Simulation step in [s]."""
+    base: Base
+    constraint: Constraint
+    workspace: Workspace
+    segments: Annotated[tuple[Segment, ...], Strict(False), Field(min_length=1)]
+    mujoco: MujocoOptions = MujocoOptions()
+
+    @model_validator(mode="wrap")
+    @classmethod
+    def _check_across_sections(cls, data: Any, handler: Any) -> Self:
+        """Rules that tie sections together, reported along with the errors inside them."""
+        errors: list[InitErrorDetails] = []
+        robot = None
+        try:
+            robot = handler(data)
+        except ValidationError as error:
+            errors += [again(line) for line in error.errors()]
+        if robot is None:
+            errors += list(_cross_errors(data))
+        else:
+            errors += list(_cross_errors(robot.model_dump()))
+        if robot is None or errors:
+            raise ValidationError.from_exception_data(cls.__name__, errors)
+        return robot
+
+    @property
+    def num_segments(self) -> int:
+        return len(self.segments)
+
+    @property
+    def links(self) -> tuple[tuple[Link, Joint], ...]:
+        """Every link with its joint, from the base to the tip."""
+        return tuple((s.link, s.joint) for s in self.segments for _ in range(s.links))
+
+    @property
+    def num_links(self) -> int:
+        return len(self.links)
+
+    @property
+    def num_hinges(self) -> int:
+        """Two for each link, x before y, root to tip."""
+        return 2 * self.num_links
+
+    @property
+    def servos(self) -> tuple[Servo, ...]:
+        """The servo of each cable, segment by segment."""
+        return tuple(s.servo for s in self.segments for _ in s.cables.angles_deg)
+
+    @property
+    def num_cables(self) -> int:
+        return len(self.servos)
+
+    @property
+    def num_coordinates(self) -> int:
+        """Degrees of freedom: base (6), sliders, hinges."""
+        return 6 + self.num_cables + self.num_hinges
+
+    @property
+    def top(self) -> float:
+        """Height of the base's top face, where the arm begins, above the base's centre in [m]."""
+        return self.base.size[2] / 2
+
+    @property
+    def arm_length(self) -> float:
+        """From the first joint to the tip in [m]."""
+        return sum(link.length for link, _ in self.links)
+
+    @property
+    def total_mass(self) -> float:
+        """[kg]."""
+        return (
+            self.base.mass
+            + sum(link.mass for link, _ in self.links)
+            + sum(s.mass for s in self.servos)
+        )
+
+    @property
+    def fingerprint(self) -> str:
+        """A hash of every number that decides the motion; the name is not part of it."""
+        data = self.model_dump(mode="json", exclude={"name"})
+        return hashlib.sha256(json.dumps(data, sort_keys=True).encode()).hexdigest()[:16]
+
+    def to_toml(self) -> str:
+        """The description as TOML; reading it back gives an equal robot."""
+        return tomli_w.dumps(self.model_dump(mode="json"))
+
+
+def parse_robot(text: str, source: str = "<text>") -> Robot:
+    """Read a description from TOML text.
+
+    Raises:
+        CdcsrError: the text is not TOML, or breaks rules; all broken rules are listed, each with its place.
+    """
+    try:
+        data = tomllib.loads(text)
+    except tomllib.TOMLDecodeError as error:
+        raise CdcsrError(f"{source} is not valid TOML: {error}.") from None
+    try:
+        return Robot.model_validate(data)
+    except ValidationError as error:
+        lines = [describe(text, line) for line in error.errors()]
+        count = f"{len(lines)} error" + "s" * (len(lines) != 1)
+        raise CdcsrError(
+            f"{source}: {count} in the robot description: " + "; ".join(lines)
+        ) from None
+
+
+def load_robot(robot: str | Path) -> Robot:
+    """Load a description from a file, or a shipped one by its name (``"paper"``).
+
+    Raises:
+        CdcsrError: no such file or shipped robot, or a broken description.
+    """
+    path = Path(robot)
+    if path.suffix == ".toml":
+        try:
+            text = path.read_text(encoding="utf-8")
+        except (OSError, UnicodeDecodeError) as error:
+            raise CdcsrError(f"Cannot read the robot description {path}: {error}.") from None
+        return parse_robot(text, str(path))
+    shipped = shipped_robots()
+    if str(robot) not in shipped:
+        raise CdcsrError(
+            unknown_choice("robot", str(robot), shipped) + " Or give a path ending in .toml."
+        )
+    return parse_robot(
+        (resources.files("models") / "robots" / f"{robot}.toml").read_text("utf-8"), f"{robot}.toml"
+    )
+
+
+def shipped_robots() -> list[str]:
+    """Names of the robots that come with the package."""
+    folder = resources.files("models") / "robots"
+    return sorted(
+        f.name.removesuffix(".toml") for f in folder.iterdir() if f.name.endswith(".toml")
+    )
+
+
+def _cross_errors(data: Any) -> Iterator[InitErrorDetails]:
+    """Errors between sections of possibly broken data; silent where a number is missing, or wrong in itself."""
+
+    def number(*place: str | int) -> float | None:
+        value = data
+        for key in place:
+            try:
+                value = value[key]
+            except (KeyError, IndexError, TypeError):
+                return None
+        if (
+            not isinstance(value, int | float)
+            or isinstance(value, bool)
+            or not 0 < value < float("inf")
+        ):
+            return None
+        return float(value)
+
+    def error(place: tuple[str | int, ...], message: str) -> InitErrorDetails:
+        kind = PydanticCustomError("value_error", "{message}", {"message": message})
+        return InitErrorDetails(type=kind, loc=place, input=number(*place))
+
+    step, recovery = number("time_step"), number("constraint", "recovery_time")
+    if step and recovery and recovery < 2 * step:
+        yield error(
+            ("constraint", "recovery_time"), f"must be at least two time steps ({2 * step:g} s)"
+        )
+    try:
+        count = len(data["segments"])
+    except (KeyError, TypeError):
+        return
+    height = number("base", "size", 2)
+    for i in range(count):
+        place = ("segments", i, "cables", "guide_offset")
+        offset = number(*place)
+        if offset is None:
+            continue
+        for j in range(i + 1):
+            length = number("segments", j, "link", "length")
+            if length is not None and offset >= length / 2:
+                yield error(
+                    place,
+                    f"puts a guide outside its link: must be below half of segments[{j}].link.length "
+                    f"({length / 2:g} m)",
+                )
+                break
+        below = number("segments", i, "servo", "offset")
+        if height and below is not None and offset + below > height:
+            yield error(
+                ("segments", i, "servo", "offset"),
+                f"puts the slider outside the base: must be at most {height - offset:g} m",
+            )

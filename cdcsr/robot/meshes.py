@@ -1,0 +1,154 @@
+"""What the robot looks like, as triangle meshes, and the inertia of a solid of a given shape.
+
+Meshes are for the eye only: masses, inertias and routing come from the description.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import trimesh
+from numpy.typing import NDArray
+from trimesh.exchange import gltf
+from trimesh.transformations import rotation_matrix, translation_matrix
+from trimesh.visual import ColorVisuals
+
+from cdcsr import files
+from cdcsr.errors import CdcsrError
+from cdcsr.robot.description import Robot
+from cdcsr.robot.routing import routing
+
+_SECTIONS = 32
+_HULL = (190, 195, 205, 255)
+_PANEL = (35, 60, 130, 255)
+_METAL = (90, 90, 95, 255)
+_SEGMENTS = ((225, 120, 50, 255), (60, 140, 200, 255), (90, 170, 90, 255))
+"""Colours of the segments from the base on, as RGBA; used over again if there are more segments."""
+
+
+def visual_meshes(robot: Robot) -> dict[str, trimesh.Trimesh]:
+    """One mesh for each kind of part, in the frame of its body, in [m].
+
+    Returns:
+        `base` (origin at its centre), and for each segment s from 0: `link_<s>` (origin at its joint, +z along
+        the link) and `slider_<s>` (origin at its centre).
+    """
+    meshes = {"base": _base(robot)}
+    for s, segment in enumerate(robot.segments):
+        meshes[f"link_{s}"] = _link(robot, s)
+        meshes[f"slider_{s}"] = _coloured(
+            trimesh.creation.icosphere(2, segment.servo.radius), _METAL
+        )
+    return meshes
+
+
+def solid_inertia(mesh: trimesh.Trimesh, mass: float) -> NDArray[np.float64]:
+    """Inertia tensor of a solid of uniform density.
+
+    Args:
+        mesh: its surface, closed.
+        mass: in [kg].
+
+    Returns:
+        Shape (3, 3), about the solid's centre of mass, along the mesh's axes, in [kg m^2].
+
+    Raises:
+        CdcsrError: the mesh encloses no volume.
+    """
+    if not mesh.is_volume:
+        raise CdcsrError("A solid's inertia needs a closed mesh with its faces turned outward.")
+    return np.asarray(mesh.moment_inertia) * (mass / (mesh.volume * mesh.density))
+
+
+def export_glb(robot: Robot, path: Path) -> None:
+    """Write the whole robot, straight, as one GLB scene. As glTF asks, the scene's up is +y: the arm's +z.
+
+    Raises:
+        CdcsrError: the place cannot be written to.
+    """
+    meshes = visual_meshes(robot)
+    scene = trimesh.Scene(base_frame="world")
+    upright = rotation_matrix(-np.pi / 2, (1, 0, 0))
+
+    def place(
+        geometry: str | trimesh.Trimesh, name: str, position: tuple[float, float, float]
+    ) -> None:
+        # A part that occurs often is stored once and referred to by its name.
+        if isinstance(geometry, str) and geometry in scene.geometry:
+            scene.graph.update(
+                name, matrix=upright @ translation_matrix(position), geometry=geometry
+            )
+            return
+        mesh, key = (meshes[geometry], geometry) if isinstance(geometry, str) else (geometry, name)
+        scene.add_geometry(
+            mesh, node_name=name, geom_name=key, transform=upright @ translation_matrix(position)
+        )
+
+    place("base", "base", (0.0, 0.0, 0.0))
+    height, number = robot.top, 0
+    for s, segment in enumerate(robot.segments):
+        for _ in range(segment.links):
+            place(f"link_{s}", f"link{number}", (0.0, 0.0, height))
+            height, number = height + segment.link.length, number + 1
+    route = routing(robot)
+    kinds = [s for s, segment in enumerate(robot.segments) for _ in segment.cables.angles_deg]
+    for c, s in enumerate(kinds):
+        x, y = route.place[c]
+        low = robot.top - route.guide_offset[c] - route.slider_offset[c]
+        # At rest a cable is as long as its rest length: the slider stands where its guides are in line.
+        line = trimesh.creation.cylinder(0.0012, height=route.rest_length[c], sections=8)
+        place(f"slider_{s}", f"slider{c}", (x, y, low))
+        place(_coloured(line, _METAL), f"cable{c}", (x, y, low + route.rest_length[c] / 2))
+    files.write_bytes(path, gltf.export_glb(scene))
+
+
+def _base(robot: Robot) -> trimesh.Trimesh:
+    """A bevelled box of the description's size, with a nozzle below and a solar panel to either side."""
+    x, y, z = (edge / 2 for edge in robot.base.size)
+    small = min(x, y, z)
+    signs = np.array(np.meshgrid([-1, 1], [-1, 1], [-1, 1])).reshape(3, -1).T
+    # Each corner is cut back along all axes but one, in turn.
+    cut = 0.08 * small * (1 - np.eye(3))
+    corners = np.concatenate([signs * (np.array([x, y, z]) - c) for c in cut])
+    hull = _coloured(trimesh.convex.convex_hull(corners), _HULL)
+    throat, mouth, end = 0.2 * small, 0.45 * small, -z - 0.5 * small
+    nozzle = _revolved(
+        [(0, -z - 0.05 * small), (0.9 * mouth, end), (mouth, end), (throat, -z), (0, -z)]
+    )
+    parts = [_coloured(nozzle, _METAL)]
+    for side in (-1, 1):
+        panel = trimesh.creation.box((1.2 * x, 2.4 * y, 0.05 * small))
+        panel.apply_translation((0, side * (y + 0.2 * small + 1.2 * y), 0))
+        boom = trimesh.creation.box((0.1 * small, 0.4 * small, 0.05 * small))
+        boom.apply_translation((0, side * (y + 0.1 * small), 0))
+        parts += [_coloured(panel, _PANEL), _coloured(boom, _METAL)]
+    return sum(parts, start=hull)
+
+
+def _link(robot: Robot, s: int) -> trimesh.Trimesh:
+    """A backbone with a ball at its joint and a disc at every guide: those of all cables that pass."""
+    link = robot.segments[s].link
+    passing = [segment.cables for segment in robot.segments[s:]]
+    pitch = max(cables.pitch_radius for cables in passing)
+    backbone, disc = 0.45 * min(pitch, link.radius), 1.6 * pitch
+    offsets = {cables.guide_offset for cables in passing}
+    heights = sorted(offsets | {link.length - offset for offset in offsets})
+    gaps = np.diff([0.0, *heights, link.length])
+    half = min(0.002, 0.3 * float(gaps.min()))
+    ball = np.linspace(-np.pi / 2, 0, 6)
+    profile = [(backbone * np.cos(angle), backbone * np.sin(angle)) for angle in ball]
+    for z in heights:
+        profile += [(backbone, z - half), (disc, z - half), (disc, z + half), (backbone, z + half)]
+    profile += [(backbone, link.length), (0.0, link.length)]
+    return _coloured(_revolved(profile), _SEGMENTS[s % len(_SEGMENTS)])
+
+
+def _revolved(profile: list[tuple[float, float]]) -> trimesh.Trimesh:
+    """The solid swept by a profile of (radius, z) around z."""
+    return trimesh.creation.revolve(np.array(profile), sections=_SECTIONS)
+
+
+def _coloured(mesh: trimesh.Trimesh, colour: tuple[int, int, int, int]) -> trimesh.Trimesh:
+    mesh.visual = ColorVisuals(mesh, face_colors=colour)
+    return mesh

@@ -1,0 +1,58 @@
+"""Find engines by name: each is an entry point in the group `cdcsr.backends`."""
+
+from __future__ import annotations
+
+import os
+from importlib.metadata import entry_points
+
+from cdcsr.errors import CdcsrError, unknown_choice
+from cdcsr.robot.description import Robot
+from cdcsr.simulation.contract import Simulation
+
+_GROUP = "cdcsr.backends"
+
+
+def backend_names() -> list[str]:
+    """Names of the installed engines."""
+    return sorted({point.name for point in entry_points(group=_GROUP)})
+
+
+def load_backend(name: str) -> type[Simulation]:
+    """The Simulation class of an engine.
+
+    Raises:
+        CdcsrError: no engine of that name is installed.
+    """
+    for point in entry_points(group=_GROUP):
+        if point.name == name:
+            return point.load()
+    raise CdcsrError(unknown_choice("backend", name, backend_names()))
+
+
+def chosen_backends(name: str) -> list[str]:
+    """The engines a user means by a name, or by "all".
+
+    Raises:
+        CdcsrError: one is not installed; said before the work, not in the midst of it.
+    """
+    names = backend_names() if name == "all" else [name]
+    for each in names:
+        load_backend(each)
+    return names
+
+
+def make_simulation(robot: Robot, backend: str, num: int = 1) -> Simulation:
+    """A simulation of `num` copies in the engine of that name."""
+    return load_backend(backend)(robot, num)
+
+
+def processors() -> int:
+    """How many processors this process may use: as many as it is bound to, and at most OMP_NUM_THREADS if that is set.
+
+    Engines share their copies among so many threads or worker processes; the numbers do not depend on it.
+    """
+    bound = (
+        len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+    )
+    asked = os.environ.get("OMP_NUM_THREADS", "")
+    return min(bound, int(asked)) if asked.isdecimal() and int(asked) else bound

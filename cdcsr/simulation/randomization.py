@@ -1,0 +1,94 @@
+"""Domain randomization: every episode on a plant of its own."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cdcsr.errors import CdcsrError
+from cdcsr.robot.description import Robot
+from cdcsr.simulation.contract import Simulation
+from cdcsr.simulation.plant import Parameters
+
+FACTORS = {
+    "base_mass": 1.5,
+    "base_inertia": 1.5,
+    "link_mass": 1.5,
+    "link_inertia": 2.0,
+    "joint_stiffness": 2.0,
+    "joint_damping": 2.0,
+    "slider_damping": 2.0,
+    "servo_gain": 1.5,
+}
+"""At scale 1 a factor lies between 1 over this and this, its logarithm uniform; one for a copy's every part."""
+REST_LENGTH_OFFSET = 0.02
+"""At scale 1 each cable is by up to this much longer or shorter, uniform, in [m]."""
+COMMAND_DELAY = 4
+"""At scale 1 commands are late by 0 to this many time steps, all equally likely."""
+MAX_SCALE = 5.0
+
+
+class Randomization:
+    """Draws :class:`Parameters` for the copies that begin an episode, and sets them.
+
+    Args:
+        robot: the description.
+        num: how many copies.
+        scale: 0 draws the description itself; 1 the ranges above; logarithms, offsets and delays grow with it.
+        rng: a stream of its own, so that nothing else that is random (targets) depends on it.
+
+    Attributes:
+        rng: that stream.
+        drawn: what is in force, by the names of :class:`Parameters`: one row for each copy.
+    """
+
+    def __init__(self, robot: Robot, num: int, scale: float, rng: np.random.Generator) -> None:
+        check_scale(scale)
+        shortest = min(servo.offset for servo in robot.servos)
+        if scale * REST_LENGTH_OFFSET >= shortest:
+            raise CdcsrError(
+                f"A randomization of {scale:g} shortens cables by up to {scale * REST_LENGTH_OFFSET:g} m, and the "
+                f"sliders of {robot.name!r} have room for {shortest:g} m; choose a smaller one."
+            )
+        self.rng, self._scale, self._cables = rng, scale, robot.num_cables
+        self.drawn: dict[str, NDArray[Any]] = {name: np.ones(num) for name in FACTORS}
+        self.drawn["rest_length_offset"] = np.zeros((num, robot.num_cables))
+        self.drawn["command_delay"] = np.zeros(num, np.int64)
+
+    def begin(self, simulation: Simulation, ids: NDArray[np.int64]) -> None:
+        """Give copies `ids` new plants, before they are reset."""
+        new = self._draw(len(ids))
+        for name, values in new.items():
+            self.drawn[name][ids] = values
+        simulation.set_parameters(ids, Parameters(**new))
+
+    def restore(self, simulation: Simulation, drawn: dict[str, NDArray[Any]]) -> None:
+        """Give all copies the plants that were in force once, as `drawn` was then."""
+        for name, values in self.drawn.items():
+            values[:] = drawn[name]
+        simulation.set_parameters(None, Parameters(**self.drawn))
+
+    def _draw(self, num: int) -> dict[str, NDArray[Any]]:
+        widths = self._scale * np.log(list(FACTORS.values()))
+        factors = np.exp(self.rng.uniform(-1, 1, (num, len(FACTORS))) * widths)
+        offset = self.rng.uniform(-1, 1, (num, self._cables)) * self._scale * REST_LENGTH_OFFSET
+        delay = self.rng.integers(0, round(self._scale * COMMAND_DELAY), num, endpoint=True)
+        return {
+            **dict(zip(FACTORS, factors.T, strict=True)),
+            "rest_length_offset": offset,
+            "command_delay": delay,
+        }
+
+
+def check_scale(scale: float) -> None:
+    """Refuse what is no scale.
+
+    Raises:
+        CdcsrError: it does not lie in [0, MAX_SCALE].
+    """
+    if not 0 <= scale <= MAX_SCALE:
+        raise CdcsrError(
+            f"The scale of randomization must lie in [0, {MAX_SCALE:g}], not {scale:g}."
+        )

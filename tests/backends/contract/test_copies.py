@@ -1,0 +1,101 @@
+"""Copies do not feel each other, resets touch only what they name, and a snapshot holds all of the future.
+
+To the bit in MuJoCo. PyBullet keeps the base's pose in another form than it gives it out, and its worker processes
+and clients hold several copies each: there within 1e-10 over the steps made here.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+from cdcsr.errors import CdcsrError
+from cdcsr.robot.description import Robot, load_robot
+from cdcsr.simulation.contract import Simulation, State
+from tests.support.physics import commands_of, running, straight
+
+COPIES = 64
+
+
+def same(one: State, other: State, engine: str, copies: slice | list[int] = slice(None)) -> None:
+    """Every measured quantity of the chosen copies, tensions included."""
+    for field in dataclasses.fields(State):
+        found, expected = getattr(one, field.name)[copies], getattr(other, field.name)[copies]
+        tolerance = 0.0 if engine == "mujoco" else 1e-10
+        np.testing.assert_allclose(
+            found, expected, rtol=tolerance, atol=tolerance, err_msg=field.name
+        )
+
+
+def only(state: State, copy: int) -> State:
+    return State(
+        **{f.name: getattr(state, f.name)[copy : copy + 1] for f in dataclasses.fields(State)}
+    )
+
+
+def advance(simulation: Simulation, commands: np.ndarray) -> State:
+    for command in commands:
+        simulation.step(command)
+    return simulation.state()
+
+
+def test_copies_of_64_move_as_if_alone_also_when_others_are_reset(
+    paper: Robot, engine: str
+) -> None:
+    commands = commands_of(paper, 30, COPIES, hold=5)
+    gone, kept = list(range(3, COPIES, 5)), [n for n in range(COPIES) if n % 5 != 3]
+    with running(paper, engine, COPIES) as batch:
+        before = advance(batch, commands[:15])
+        batch.reset(gone)
+        same(batch.state(), before, "mujoco", kept)  # to the bit in any engine
+        assert not batch.state().time[gone].any()
+        together = advance(batch, commands[15:])
+    for copy, since in ((0, 0), (17, 0), (63, 15), (3, 15)):
+        assert (copy in gone) == (since > 0)
+        with running(paper, engine) as alone:
+            after = advance(alone, commands[since:, copy : copy + 1])
+        assert after.cable_tension.max() > 1
+        same(after, only(together, copy), engine)
+
+
+def test_a_snapshot_continues_as_if_never_stopped(robot: Robot, engine: str) -> None:
+    """In another simulation with another past, and in the same one again."""
+    commands = commands_of(robot, 60, 3, hold=10)
+    with running(robot, engine, 3) as first, running(robot, engine, 3) as second:
+        stopped = advance(first, commands[:30])
+        assert stopped.cable_tension.max() > 1
+        snapshot = first.get_snapshot()
+        advance(second, commands[:7])
+        second.set_snapshot(snapshot)
+        same(second.state(), stopped, engine)
+        never_stopped = advance(first, commands[30:])
+        same(advance(second, commands[30:]), never_stopped, engine)
+        first.set_snapshot(snapshot)
+        same(advance(first, commands[30:]), never_stopped, engine)
+
+
+def test_a_snapshot_of_something_else_is_an_error(paper: Robot, engine: str) -> None:
+    with running(paper, engine, 2) as simulation:
+        with pytest.raises(CdcsrError, match="holds 3 copies; this simulation has 2"):
+            simulation.set_snapshot(straight(paper, 3))
+        with pytest.raises(CdcsrError, match="is of robot"):
+            simulation.set_snapshot(straight(load_robot("planar-single"), 2))
+
+
+def test_substeps_are_steps_under_one_command(paper: Robot, engine: str) -> None:
+    command = commands_of(paper, 1, 2)[0]
+    with running(paper, engine, 2) as at_once, running(paper, engine, 2) as one_by_one:
+        at_once.step(command, 7)
+        same(at_once.state(), advance(one_by_one, np.array([command] * 7)), engine)
+
+
+def test_commands_that_are_no_numbers_are_refused(paper: Robot, engine: str) -> None:
+    with running(paper, engine, 2) as simulation:
+        before = simulation.state()
+        commands = np.full((2, paper.num_cables), -0.01)
+        commands[1, 3] = np.nan
+        with pytest.raises(CdcsrError, match="Commands must be finite; that of copy 1"):
+            simulation.step(commands)
+        same(simulation.state(), before, "mujoco")

@@ -1,0 +1,180 @@
+"""`cdcsr build-model`: what it writes loads in the plain engines, which then hold the robot of the description."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from cdcsr.errors import CdcsrError
+from cdcsr.robot.description import load_robot, shipped_robots
+from cdcsr.robot.routing import routing
+from training.commands.build_model import build_model
+
+OURS = "assert not {'cdcsr', 'backends'} & {name.partition('.')[0] for name in sys.modules}"
+IN_MUJOCO = f"""
+import json, sys
+import mujoco
+model = mujoco.MjModel.from_xml_path(sys.argv[1])
+data = mujoco.MjData(model)
+mujoco.mj_forward(model, data)
+{OURS}
+print(json.dumps({{
+    "masses": [float(m) for m in model.body_mass if m], "center": data.subtree_com[0].tolist(), "dof": model.nv,
+    "meshes": model.nmesh, "lengths": data.ten_length.tolist(), "limits": model.tendon_range[:, 1].tolist(),
+    "tip": data.site("tip").xpos.tolist(),
+}}))
+"""
+IN_PYBULLET = f"""
+import json, sys
+import pybullet
+client = pybullet.connect(pybullet.DIRECT)
+flags = pybullet.URDF_USE_INERTIA_FROM_FILE
+robot = pybullet.loadURDF(sys.argv[1], flags=flags, physicsClientId=client)
+info = [pybullet.getDynamicsInfo(robot, i) for i in range(-1, pybullet.getNumJoints(robot))]
+places = [[0, 0, 0]] + [pybullet.getLinkState(robot, i)[0] for i in range(pybullet.getNumJoints(robot))]
+masses = [i[0] for i in info]
+joints = [pybullet.getJointInfo(robot, i) for i in range(pybullet.getNumJoints(robot))]
+{OURS}
+print(json.dumps({{
+    "masses": [m for m in masses if m], "dof": 6 + sum(j[2] != pybullet.JOINT_FIXED for j in joints),
+    "center": [sum(m * p[k] for m, p in zip(masses, places)) / sum(masses) for k in range(3)],
+    "meshes": sum(shape[2] == pybullet.GEOM_MESH for shape in pybullet.getVisualShapeData(robot)),
+    "inertias": [i[2] for i in info if i[0]],
+    "links": ["base"] + [j[12].decode() for j in joints], "joints": [j[1].decode() for j in joints],
+}}))
+"""
+
+
+def plain(code: str, file: Path, folder: Path) -> dict[str, Any]:
+    """What an engine makes of a file, in a process that runs elsewhere and has nothing of ours."""
+    command = [sys.executable, "-c", code, str(file)]
+    done = subprocess.run(command, check=False, capture_output=True, text=True, cwd=folder)
+    assert done.returncode == 0, done.stderr
+    return json.loads(done.stdout.splitlines()[-1])
+
+
+@pytest.fixture(scope="module", params=shipped_robots())
+def built(
+    request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory
+) -> tuple[str, Path]:
+    """Name of a robot and the folder of its models; the summary lies beside it, in summary.json."""
+    out = tmp_path_factory.mktemp("models") / "moved"
+    build_model(request.param, out=out, json=out.parent / "summary.json")
+    return request.param, out
+
+
+def test_it_writes_the_promised_files(built: tuple[str, Path]) -> None:
+    name, out = built
+    expected = {
+        "cables.json",
+        "meshes",
+        f"{name}.glb",
+        f"{name}.toml",
+        f"{name}.urdf",
+        f"{name}.xml",
+    }
+    assert {path.name for path in out.iterdir()} == expected
+    assert load_robot(out / f"{name}.toml") == load_robot(name)
+    assert (out / f"{name}.glb").read_bytes()[:4] == b"glTF"
+
+
+def test_plain_mujoco_holds_the_robot(built: tuple[str, Path], tmp_path: Path) -> None:
+    name, out = built
+    robot, route = load_robot(name), routing(load_robot(name))
+    found = plain(IN_MUJOCO, out / f"{name}.xml", tmp_path)
+    summary = json.loads((out.parent / "summary.json").read_text())
+    expected = [
+        robot.base.mass,
+        *[link.mass for link, _ in robot.links],
+        *[servo.mass for servo in robot.servos],
+    ]
+    np.testing.assert_allclose(sorted(found["masses"]), sorted(expected), rtol=1e-12)
+    np.testing.assert_allclose(found["center"], summary["center_of_mass"], atol=1e-9)
+    assert found["dof"] == robot.num_coordinates == summary["degrees_of_freedom"]
+    assert found["meshes"] == 1 + 2 * robot.num_segments
+    np.testing.assert_allclose(found["tip"], [0, 0, robot.top + robot.arm_length], atol=1e-12)
+    np.testing.assert_allclose(found["lengths"], route.rest_length, rtol=1e-12)
+    np.testing.assert_allclose(found["limits"], route.rest_length, atol=1e-8)
+    # A limit that lies below the length at rest, if only by a hair, takes hold in the very first step.
+    assert np.all(np.less(found["limits"], found["lengths"]))
+
+
+def test_plain_pybullet_holds_the_robot(built: tuple[str, Path], tmp_path: Path) -> None:
+    name, out = built
+    robot = load_robot(name)
+    found = plain(IN_PYBULLET, out / f"{name}.urdf", tmp_path)
+    summary = json.loads((out.parent / "summary.json").read_text())
+    links = [link for link, _ in robot.links]
+    expected = [
+        robot.base.mass,
+        *[link.mass for link in links],
+        *[servo.mass for servo in robot.servos],
+    ]
+    np.testing.assert_allclose(sorted(found["masses"]), sorted(expected), rtol=1e-12)
+    np.testing.assert_allclose(found["center"], summary["center_of_mass"], atol=1e-9)
+    assert found["dof"] == robot.num_coordinates
+    assert found["meshes"] == summary["bodies"]
+    np.testing.assert_allclose(found["inertias"][0], robot.base.inertia, rtol=1e-12)
+    for link in links:
+        assert any(np.allclose(inertia, link.inertia, rtol=1e-12) for inertia in found["inertias"])
+    cables = json.loads((out / "cables.json").read_text())["cables"]
+    assert len(cables) == robot.num_cables
+    for cable in cables:
+        assert cable["slider_joint"] in found["joints"]
+        assert {guide["link"] for guide in cable["guides"]} <= set(found["links"])
+
+
+def test_the_engines_agree_on_the_mass_matrix(built: tuple[str, Path]) -> None:
+    _, out = built
+    differences = json.loads((out.parent / "summary.json").read_text())["mass_matrix_difference"][
+        "pybullet"
+    ]
+    assert differences["straight"] < 1e-9
+    assert differences["bent"] < 1e-9
+
+
+def test_one_backend_alone(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    build_model("planar-single", out=tmp_path / "out", backend="mujoco")
+    names = {path.name for path in (tmp_path / "out").iterdir()}
+    assert names == {"meshes", "planar-single.glb", "planar-single.toml", "planar-single.xml"}
+    shown = capsys.readouterr().out
+    assert "degrees of freedom  22" in shown  # 6 of the base, 4 sliders, 12 hinges
+    assert "segment 0         1.4, 1.4, 1.4, 1.4" in shown
+    assert "mass matrix" not in shown
+
+
+def test_an_existing_folder_is_refused_unless_forced(tmp_path: Path) -> None:
+    out = tmp_path / "out"
+    out.mkdir()
+    with pytest.raises(
+        CdcsrError, match="already exists; give another folder, or --force to replace it"
+    ):
+        build_model("planar-single", out=out, backend="mujoco")
+    assert list(out.iterdir()) == []
+    build_model("planar-single", out=out, backend="mujoco", force=True)
+    assert (out / "planar-single.xml").exists()
+
+
+@pytest.mark.parametrize(
+    ("robot", "backend", "message"),
+    [
+        (
+            "planar-single",
+            "mojoco",
+            r"^Unknown backend 'mojoco'\. Did you mean 'mujoco'\? Available: all, mujoco, ",
+        ),
+        ("planar", "mujoco", r"^Unknown robot 'planar'\."),
+    ],
+)
+def test_a_wrong_name_writes_nothing(
+    robot: str, backend: str, message: str, tmp_path: Path
+) -> None:
+    with pytest.raises(CdcsrError, match=message):
+        build_model(robot, out=tmp_path / "out", backend=backend)
+    assert list(tmp_path.iterdir()) == []

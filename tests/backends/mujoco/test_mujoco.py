@@ -1,0 +1,109 @@
+"""What is MuJoCo's own: threads, arrays shared with the engine, divergence. The physics is tested in every engine."""
+
+from __future__ import annotations
+
+import dataclasses
+from itertools import pairwise
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from backends.mujoco.active_cables import CURRENT
+from backends.mujoco.simulation import MujocoSimulation
+from cdcsr.errors import Diverged
+from cdcsr.robot.description import Robot
+from tests.support.physics import commands_of, moving, slack, straight
+
+
+@pytest.fixture
+def elsewhere(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """MuJoCo writes its warnings to a file in the working directory."""
+    monkeypatch.chdir(tmp_path)
+
+
+@pytest.mark.parametrize("threads", [1, 2])
+def test_each_copy_moves_as_if_alone(paper: Robot, threads: int) -> None:
+    commands = commands_of(paper, 60, num=9)
+    batch = MujocoSimulation(paper, 9, threads=threads)
+    for command in commands:
+        batch.step(command, 2)
+    together = batch.state()
+    for copy in (0, 4, 8):
+        alone = MujocoSimulation(paper)
+        for command in commands:
+            alone.step(command[copy : copy + 1], 2)
+        for field in dataclasses.fields(together):
+            np.testing.assert_array_equal(
+                getattr(alone.state(), field.name)[0], getattr(together, field.name)[copy]
+            )
+
+
+def test_a_state_stays_as_it_was(paper: Robot) -> None:
+    simulation = MujocoSimulation(paper)
+    state = simulation.state()
+    before = dataclasses.replace(
+        state, **{f.name: getattr(state, f.name).copy() for f in dataclasses.fields(state)}
+    )
+    simulation.step(commands_of(paper, 1)[0], 50)
+    for field in dataclasses.fields(state):
+        np.testing.assert_array_equal(getattr(state, field.name), getattr(before, field.name))
+
+
+@pytest.mark.usefixtures("elsewhere")
+@pytest.mark.parametrize("bad", [1e6, np.nan])
+def test_divergence_names_copy_and_time(paper: Robot, bad: float) -> None:
+    simulation = MujocoSimulation(paper, 4)
+    command = np.zeros((4, paper.num_cables))
+    simulation.step(command, 10)
+    snapshot = simulation.get_snapshot()
+    velocity = np.zeros_like(snapshot.velocity)
+    velocity[2, 0] = bad
+    simulation.set_snapshot(dataclasses.replace(snapshot, engine="by hand", velocity=velocity))
+    with pytest.raises(Diverged, match=r"mujoco: copy 2 diverged at t = 0\.0275 s") as caught:
+        simulation.step(command)
+    assert (caught.value.copy, caught.value.time) == (2, pytest.approx(0.0275))
+
+
+@pytest.mark.usefixtures("elsewhere")
+def test_an_impossible_time_step_diverges(paper: Robot) -> None:
+    coarse = paper.model_dump() | {"time_step": 0.5, "constraint": {"recovery_time": 1.0}}
+    simulation = MujocoSimulation(Robot.model_validate(coarse))
+    with pytest.raises(Diverged, match="smaller time_step"):
+        simulation.step(commands_of(paper, 1)[0], 2000)
+
+
+@pytest.mark.parametrize("guess", [0.0, 1.0])
+def test_which_cables_hold_does_not_depend_on_the_first_guess(paper: Robot, guess: float) -> None:
+    """Slack, taut and too long cables, with all or none of them guessed to hold: tensions and motion are the same."""
+    start, command = moving(paper, 6), commands_of(paper, 1, num=6)[0]
+    simulations = MujocoSimulation(paper, 6), MujocoSimulation(paper, 6)
+    for simulation in simulations:
+        simulation.set_snapshot(start)
+    for _ in range(20):
+        simulations[1].batch.bind("eq_active")[:] = guess
+        simulations[1].batch.forward(stage=CURRENT)
+        for simulation in simulations:
+            simulation.step(command)
+    one, other = (simulation.state() for simulation in simulations)
+    assert (one.cable_tension > 1).any()
+    assert (one.cable_tension == 0).any()
+    for field in dataclasses.fields(one):
+        values = [getattr(state, field.name) for state in (one, other)]
+        np.testing.assert_allclose(*values, rtol=1e-3, atol=1e-3, err_msg=field.name)
+
+
+def test_an_excess_is_taken_back_with_the_recovery_time(paper: Robot) -> None:
+    """A cable set 2 mm too long: the first step takes back what is due, h / recovery time; what has come into motion
+    goes on, so later ones take back no less, until the cable is as long as at rest, or slack."""
+    start = straight(paper)
+    start.position[0, 7] = -2e-3
+    simulation = MujocoSimulation(paper)
+    simulation.set_snapshot(start)
+    keep, excess = 1 - paper.time_step / paper.constraint.recovery_time, [2e-3]
+    for _ in range(8):
+        simulation.step(np.zeros((1, paper.num_cables)))
+        excess.append(-slack(paper, simulation)[0, 0])
+    assert excess[1] == pytest.approx(keep * 2e-3, rel=1e-3)
+    for before, after in pairwise(excess):
+        assert after < max(keep * before, 0) + 6e-6

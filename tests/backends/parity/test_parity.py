@@ -1,0 +1,285 @@
+"""Parity: what it measures, that it holds for the shipped robots, and that a wrong number is caught by name."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from backends.mujoco.simulation import MujocoSimulation
+from backends.parity import report as study
+from backends.parity.checks import Check, Engines
+from backends.parity.one_state import one_state, random_states
+from backends.parity.one_step import one_step
+from backends.parity.open_loop import OpenLoop, open_loop, refined
+from backends.parity.plots import draw
+from backends.parity.report import Parity, measure, show
+from backends.parity.trajectories import Commands, random_commands
+from backends.pybullet.simulation import PybulletSimulation
+from cdcsr.cli import run
+from cdcsr.robot.description import Robot, load_robot, shipped_robots
+from cdcsr.robot.routing import cable_lengths, routing
+from training.commands.parity import parity as command
+from training.measure.trajectories import demonstrator_commands
+
+ENGINES: Engines = {"mujoco": MujocoSimulation, "pybullet": PybulletSimulation}
+
+
+def both(robot: Robot, episodes: int, seed: int) -> list[Commands]:
+    """Commands of the demonstrator, and random ones."""
+    demonstrated = demonstrator_commands(robot, "mujoco", episodes, seed)
+    return [demonstrated, random_commands(robot, episodes, seed)]
+
+
+@pytest.fixture(scope="module")
+def paper() -> Robot:
+    return load_robot("paper")
+
+
+@pytest.fixture(scope="module")
+def result(paper: Robot) -> Parity:
+    """All levels for the paper's robot, with one episode of either kind."""
+    return measure(paper, ENGINES, both(paper, 1, 0), seed=0)
+
+
+def with_wrong_mujoco(change: Callable[[dict[str, Any]], None]) -> Engines:
+    """PyBullet, and a MuJoCo whose model was built from another description than the one it claims to run."""
+
+    def make(robot: Robot, num: int) -> MujocoSimulation:
+        data = robot.model_dump()
+        change(data)
+        simulation = MujocoSimulation(Robot.model_validate(data), num)
+        simulation.robot = robot
+        return simulation
+
+    return {"pybullet": PybulletSimulation, "mujoco": make}
+
+
+def scaled(section: str, key: str, factor: float) -> Callable[[dict[str, Any]], None]:
+    """Multiplies a number of the first segment."""
+
+    def change(data: dict[str, Any]) -> None:
+        data["segments"][0][section][key] *= factor
+
+    return change
+
+
+# --- level 1 -----------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("name", shipped_robots())
+def test_the_engines_agree_at_random_states(name: str) -> None:
+    checks = one_state(load_robot(name), ENGINES)
+    assert [str(check) for check in checks if not check.passed] == []
+    names = [
+        "mass matrix",
+        "generalized tip Jacobian",
+        "bias force",
+        "passive force",
+        "cable length",
+        "cable Jacobian",
+    ]
+    for pair in ("pybullet - mujoco", "pybullet step - mujoco"):
+        assert [check.name for check in checks if check.pair == pair] == names
+    assert sum(check.pair.endswith("closed form") for check in checks) == 2 * 3
+
+
+def test_random_states_are_turned_and_moving_and_some_cables_are_slack(paper: Robot) -> None:
+    states, route = random_states(paper, 32, seed=0), routing(paper)
+    np.testing.assert_allclose(np.linalg.norm(states.position[:, 3:7], axis=1), 1)
+    assert np.abs(states.position[:, 4:7]).min(axis=0).max() > 0
+    travel, hinges = states.position[:, 7:15], states.position[:, 15:]
+    assert 0.5 < np.abs(hinges).max() <= 0.8 * 1.5
+    slack = (cable_lengths(route, travel, hinges) < route.rest_length).mean()
+    assert 0.3 < slack < 0.7
+
+
+@pytest.mark.parametrize(
+    ("section", "key", "factor", "name"),
+    [
+        ("link", "mass", 1 + 1e-6, "mass matrix"),
+        ("joint", "stiffness", 1 + 1e-6, "passive force"),
+        ("servo", "damping", 1 + 1e-6, "passive force"),
+        ("servo", "mass", 1 + 1e-6, "mass matrix"),
+    ],
+)
+def test_a_wrong_number_in_one_engine_is_caught_by_name(
+    paper: Robot, section: str, key: str, factor: float, name: str
+) -> None:
+    checks = one_state(paper, with_wrong_mujoco(scaled(section, key, factor)), num=4)
+    failed = [check for check in checks if not check.passed]
+    assert (failed[0].level, failed[0].name, failed[0].pair) == (1, name, "mujoco - pybullet")
+
+
+def test_the_place_of_a_wrong_number_is_named(paper: Robot) -> None:
+    """Guides of the first segment's cables are 2 micrometres off."""
+    checks = one_state(paper, with_wrong_mujoco(scaled("cables", "guide_offset", 1 + 1e-4)), num=4)
+    where = {
+        check.name: check.where
+        for check in checks
+        if check.pair == "mujoco - pybullet" and not check.passed
+    }
+    assert where["cable length"] in {f"cable_{c}" for c in range(4)}
+
+
+# --- level 2 -----------------------------------------------------------------------------------------------------
+
+
+def test_a_servo_that_pulls_harder_is_caught_in_one_step(paper: Robot) -> None:
+    """No force of the servo is in the equation of motion, so this shows first where a command acts."""
+    engines = with_wrong_mujoco(scaled("servo", "gain", 1.05))
+    assert all(check.passed for check in one_state(paper, engines, num=4))
+    (found,) = one_step(paper, engines, random_commands(paper, 2, seed=0, steps=20))
+    assert "tension, median" in [check.name for check in found.checks() if not check.passed]
+
+
+def test_an_engine_differs_from_itself_by_nothing(paper: Robot) -> None:
+    engines: Engines = {"one": MujocoSimulation, "other": MujocoSimulation}
+    (found,) = one_step(paper, engines, random_commands(paper, 2, seed=0, steps=10))
+    assert found.pair == "other - one"
+    for difference in found.differences.values():
+        np.testing.assert_array_equal(difference, np.zeros(20))
+
+
+def test_states_after_an_episodes_end_are_left_out(paper: Robot) -> None:
+    commands = Commands(
+        "short", random_commands(paper, 2, seed=0, steps=10).values, np.array([3, 10])
+    )
+    (found,) = one_step(paper, ENGINES, commands)
+    assert {len(difference) for difference in found.differences.values()} == {3 + 10}
+
+
+# --- level 3 -----------------------------------------------------------------------------------------------------
+
+
+def test_order_and_errors_of_a_motion_made_by_hand() -> None:
+    """Two instants, one episode; errors of 3 mm/ms x h to one side, and 1 mm/ms^2 x h^2 to the other."""
+    steps = np.array([4e-3, 2e-3, 1e-3])
+    limit = np.zeros((2, 1, 3))
+    tips = {"first": np.zeros((3, 2, 1, 3)), "second": np.zeros((3, 2, 1, 3))}
+    tips["first"][..., 0] = 3 * steps[:, None, None]
+    tips["second"][..., 0] = -1e3 * steps[:, None, None] ** 2
+    loop = OpenLoop("demonstrator", steps, np.arange(2.0), tips, limit, np.zeros((2, 1)))
+    np.testing.assert_allclose(loop.errors("first"), [12e-3, 6e-3, 3e-3])
+    assert (loop.order("first"), loop.order("second")) == (pytest.approx(1), pytest.approx(2))
+    np.testing.assert_allclose(
+        loop.mean_distance("second"), [12e-3 + 16e-3, 6e-3 + 4e-3, 3e-3 + 1e-3]
+    )
+    failed = [(check.name, check.value) for check in loop.checks() if not check.passed]
+    # 28 mm apart at the first step; 4 mm apart at the last, where the first engine's own error is 3 mm.
+    assert failed == [
+        ("mean tip distance", pytest.approx(28e-3)),
+        ("tip distance over own error at the finest step", pytest.approx(4 / 3)),
+    ]
+
+
+def test_a_refined_robot_keeps_the_recovery_time_in_steps(paper: Robot) -> None:
+    fine = refined(paper, 4)
+    assert (fine.time_step, fine.constraint.recovery_time) == (
+        paper.time_step / 4,
+        paper.constraint.recovery_time / 4,
+    )
+    assert fine.segments == paper.segments
+
+
+def test_an_engine_of_another_robot_converges_elsewhere(paper: Robot) -> None:
+    """With a tenth less damping in the first segment, which no time step takes away."""
+    engines = with_wrong_mujoco(scaled("joint", "damping", 0.9))
+    loop = open_loop(paper, engines, random_commands(paper, 1, seed=0, steps=60))
+    failed = [check.name for check in loop.checks() if not check.passed]
+    assert "order" in failed
+    assert "tip distance over own error at the finest step" in failed
+
+
+# --- the whole ---------------------------------------------------------------------------------------------------
+
+
+def test_the_papers_robot_is_within_every_tolerance(result: Parity) -> None:
+    assert [str(check) for check in result.failed] == []
+    demonstrator = result.open_loop[0]
+    assert demonstrator.mean_distance("pybullet")[0] < 1e-6
+    for engine in ENGINES:
+        assert 0.9 < demonstrator.order(engine) < 1.1
+
+
+def test_figures_and_json_are_written(result: Parity, tmp_path: Path) -> None:
+    data = json.loads(json.dumps(result.as_dict(), allow_nan=False))
+    assert (data["passed"], data["first_failure"], data["reference"]) == (True, None, "mujoco")
+    assert {check["level"] for check in data["checks"]} == {1, 2, 3}
+    assert all(check["passed"] for check in data["checks"])
+    paths = draw(result, tmp_path)
+    assert [path.name for path in paths] == [
+        "paper-one-step.png",
+        "paper-convergence.png",
+        "paper-open-loop.png",
+    ]
+    assert all(path.read_bytes().startswith(b"\x89PNG") for path in paths)
+    assert "all within tolerance" in show(result)
+
+
+def test_the_command_names_the_first_failure_and_exits_with_1(
+    result: Parity,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    broken = Check(
+        1, "mass matrix", "pybullet - mujoco", float("nan"), 1e-10, "relative", "hinge_3_x"
+    )
+    monkeypatch.setattr(
+        study, "measure", lambda *_, **__: dataclasses.replace(result, one_state=[broken])
+    )
+    out = tmp_path / "parity.json"
+    assert run(command, "cdcsr parity", ["paper", "--json", str(out)]) == 1
+    error = capsys.readouterr().err
+    assert "1 parity checks failed, first: level 1, mass matrix, pybullet - mujoco" in error
+    assert "worst at hinge_3_x" in error
+    data = json.loads(out.read_text())
+    assert (data["passed"], data["checks"][0]["passed"], data["checks"][0]["value"]) == (
+        False,
+        False,
+        None,
+    )
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        (["--backend", "bullet"], "Unknown backend 'bullet'. Did you mean 'pybullet'?"),
+        (["--backend", "mujoco"], "There is no engine to compare 'mujoco' with"),
+        (["--episodes", "0"], "episodes must be at least 1, not 0."),
+    ],
+)
+def test_wrong_options_exit_with_2(
+    options: list[str], message: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert run(command, "cdcsr parity", ["paper", *options]) == 2
+    assert message in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("engine", ENGINES)
+@pytest.mark.parametrize("name", shipped_robots())
+def test_cables_hardly_stretch_along_demonstrations(name: str, engine: str) -> None:
+    """At most 0.05 mm beyond the rest length, on the way to targets."""
+    robot = load_robot(name)
+    route, commands = routing(robot), demonstrator_commands(robot, engine, episodes=2, seed=1)
+    simulation, longest = ENGINES[engine](robot, 2), 0.0
+    for each in commands.values.swapaxes(0, 1):
+        simulation.step(each)
+        state = simulation.state()
+        excess = cable_lengths(route, state.cable_travel, state.joint_angles) - route.rest_length
+        longest = max(longest, excess.max())
+    simulation.close()
+    assert longest <= 0.05e-3
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", shipped_robots())
+def test_every_shipped_robot_is_within_every_tolerance(name: str) -> None:
+    found = measure(load_robot(name), ENGINES, both(load_robot(name), 4, 1), seed=1)
+    assert [str(check) for check in found.failed] == []

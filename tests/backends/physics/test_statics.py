@@ -1,0 +1,182 @@
+"""Where the arm comes to rest, against the least potential energy and against the textbook's arc.
+
+Both are computed from the description alone, with the guides' geometry built anew. Rest does not depend on masses
+or damping, so the links are made light and the dampers such that the arm settles soon.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from scipy.optimize import least_squares
+from scipy.spatial.transform import Rotation
+
+from cdcsr.robot.description import Robot, load_robot
+from cdcsr.simulation.contract import Array, State
+from tests.support.physics import changed, running, slack, with_parts
+
+STRETCH = 0.05e-3
+"""What a settled cable may be longer than at rest, in [m]."""
+
+
+def swing(robot: Robot) -> float:
+    """About the lowest frequency of the straight arm on its hinge springs in series, in [rad/s]."""
+    compliance = sum(1 / joint.stiffness for _, joint in robot.links)
+    inertia = sum(link.mass for link, _ in robot.links) * robot.arm_length**2 / 3
+    return float(np.sqrt(1 / compliance / inertia))
+
+
+def settling(robot: Robot, weight: float = 1e-2) -> Robot:
+    """The robot with lighter links, by default of a 100th of the weight, and hinge dampers that soon end its swinging.
+
+    Not lighter: MuJoCo finds a limit's force for the mass matrix M but then moves by M + hC, so where damping
+    dwarfs inertia (hC over 100 times M) its cables stretch by millimetres and chatter.
+    """
+    segments = []
+    relaxation = 1.2 * np.sqrt(weight) / swing(robot)  # 0.6 of critical damping
+    for segment in robot.model_dump()["segments"]:
+        link, joint = segment["link"], segment["joint"]
+        light = {
+            "mass": link["mass"] * weight,
+            "inertia": [moment * weight for moment in link["inertia"]],
+        }
+        damped = {"damping": relaxation * joint["stiffness"]}
+        segments.append(segment | {"link": link | light, "joint": joint | damped})
+    return changed(robot, segments=segments)
+
+
+def at_rest(robot: Robot, engine: str, command: Array) -> tuple[State, Array]:
+    """The state after a long time under constant commands, and the slack of the cables."""
+    with running(robot, engine, len(command)) as simulation:
+        simulation.step(command, round(25 / swing(robot) / robot.time_step))
+        state = simulation.state()
+        assert np.abs(state.joint_rates).max() < 1e-3
+        return state, slack(robot, simulation)
+
+
+def taken_in(robot: Robot, hinges: Array) -> Array:
+    """How far each slider has to rise above its rest for its cable to be at its rest length, shape (C,), in [m].
+
+    Adds up the distances between the guides on either side of each joint; the rest of a cable keeps its length.
+    """
+    turns = Rotation.from_rotvec(np.outer(hinges[::2], [1, 0, 0])) * Rotation.from_rotvec(
+        np.outer(hinges[1::2], [0, 1, 0])
+    )
+    shortened, joints = [], 0
+    for segment in robot.segments:
+        joints += segment.links
+        cables = segment.cables
+        for angle in np.deg2rad(cables.angles_deg):
+            x, y = cables.pitch_radius * np.cos(angle), cables.pitch_radius * np.sin(angle)
+            above, below = (
+                turns[:joints].apply([x, y, cables.guide_offset]),
+                np.array([x, y, -cables.guide_offset]),
+            )
+            shortened.append(
+                np.sum(np.linalg.norm(above - below, axis=1) - 2 * cables.guide_offset)
+            )
+    return np.array(shortened)
+
+
+def least_energy(robot: Robot, command: Array) -> Array:
+    """Hinge angles of least potential energy, shape (2 J,), in [rad].
+
+    The energy is 1/2 k q² of every hinge and 1/2 g (x - command)² of every servo, with every cable at most at its
+    rest length. For given angles that is x >= taken_in(q), and the best x is the command or, where that is too low,
+    the least possible. What remains is a sum of squares in q alone.
+    """
+    stiffness = np.array([joint.stiffness for _, joint in robot.links for _ in "xy"])
+    gain = np.array([servo.gain for servo in robot.servos])
+
+    def terms(hinges: Array) -> Array:
+        stretch = np.maximum(taken_in(robot, hinges) - command, 0)
+        return np.concatenate([np.sqrt(stiffness) * hinges, np.sqrt(gain) * stretch])
+
+    found = least_squares(
+        terms, np.zeros(robot.num_hinges), jac="3-point", xtol=1e-15, ftol=1e-15, gtol=1e-12
+    )
+    return found.x
+
+
+def check_rest(robot: Robot, engine: str, num: int, seed: int) -> None:
+    """Set-points up to 0.4 m below rest, different for each cable: bent in any plane, within the hinge limits."""
+    command = np.random.default_rng(seed).uniform(-0.4, 0.0, (num, robot.num_cables))
+    state, left = at_rest(settling(robot), engine, command)
+    gain = np.array([servo.gain for servo in robot.servos])
+    for copy, pulls in enumerate(command):
+        expected = least_energy(robot, pulls)
+        assert 0.02 < np.abs(expected).max() < 0.9 * robot.segments[0].joint.limit
+        travel = np.maximum(taken_in(robot, expected), pulls)
+        np.testing.assert_allclose(state.joint_angles[copy], expected, atol=2e-4)
+        np.testing.assert_allclose(state.cable_travel[copy], travel, atol=2e-5)
+        np.testing.assert_allclose(state.cable_tension[copy], gain * (travel - pulls), atol=2e-3)
+    assert left.min() > -STRETCH
+
+
+@pytest.mark.parametrize("name", ["planar-single", "paper"])
+def test_a_settled_arm_has_the_least_potential_energy(name: str, engine: str) -> None:
+    """One and two segments. Measured: within 2e-6 rad and 2e-4 N in both engines."""
+    check_rest(load_robot(name), engine, num=1, seed=0)
+
+
+@pytest.mark.slow
+def test_every_settled_arm_has_the_least_potential_energy(robot: Robot, engine: str) -> None:
+    """More commands, and the other robots; measured within 6e-5 rad (what is left of the swinging)."""
+    check_rest(robot, engine, num=4, seed=1)
+
+
+def test_a_settled_cable_at_full_command_keeps_its_length(engine: str) -> None:
+    """The whole pull of a servo, 250 N; on hinges ten times as stiff, which keep the arm off its hinge limits."""
+    robot = with_parts(load_robot("planar-single"), joint={"stiffness": 20.0})
+    command = np.diag([-servo.eta for servo in robot.servos])[:1]
+    state, left = at_rest(settling(robot, weight=0.1), engine, command)
+    assert state.cable_tension[0, 0] > 200
+    assert left.min() > -STRETCH
+
+
+def chain_of(num: int) -> Robot:
+    """One segment of 1.2 m in `num` links, bent by a cable 30 degrees from the x axis.
+
+    The hinges get stiffer as they get more, and so do their dampers; each link turns as heavily as its damper
+    needs (see `settling`), which rest does not feel.
+    """
+    share, length = num / 6, 1.2 / num
+    robot = settling(load_robot("planar-single"))
+    segment = robot.model_dump()["segments"][0]
+    joint = {key: segment["joint"][key] * share for key in ("stiffness", "damping")}
+    moments = [2e-4 * share] * 3
+    parts = {
+        "links": num,
+        "link": segment["link"] | {"length": length, "mass": 0.07 / num, "inertia": moments},
+        "joint": segment["joint"] | joint,
+        "cables": {"angles_deg": [30, 150, 270], "pitch_radius": 0.02, "guide_offset": 0.01},
+    }
+    return changed(robot, segments=[segment | parts])
+
+
+def test_many_short_links_bend_into_the_textbooks_arc(engine: str) -> None:
+    """A cable taken in by d at radius r bends a constant-curvature segment by d / r, towards the cable.
+
+    R. J. Webster III and B. A. Jones, "Design and kinematic modeling of constant curvature continuum robots: a
+    review", Int. J. Robotics Research 29(13), 2010, pp. 1661-1683. The other cables are paid out.
+    Links that are straight bend in steps: the tip is off by a share of the length that falls as 1 / links.
+    """
+    off, bend = [], 0.0
+    for num in (4, 8, 16):
+        robot = chain_of(num)
+        state, _ = at_rest(robot, engine, np.array([[-0.5, 0.1, 0.1]]))
+        bend = -state.cable_travel[0, 0] / 0.02
+        radius, direction = 1.2 / bend, np.deg2rad(30)
+        across = radius * (1 - np.cos(bend))
+        arc = [
+            across * np.cos(direction),
+            across * np.sin(direction),
+            robot.top + radius * np.sin(bend),
+        ]
+        base = Rotation.from_quat(state.base_quaternion[0], scalar_first=True)
+        tip = base.inv().apply(state.tip_position[0] - state.base_position[0])
+        off.append(float(np.linalg.norm(tip - arc)))
+    assert bend > 1
+    assert off[2] < 0.05
+    orders = np.log2(np.array(off[:-1]) / off[1:])
+    assert ((orders > 0.8) & (orders < 1.3)).all()

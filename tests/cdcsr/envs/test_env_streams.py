@@ -1,0 +1,126 @@
+"""What an environment draws, for whom, and what of a moving target its task is told."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from cdcsr.envs.disturbances import Channel, Disturbances
+from cdcsr.envs.gym_env import TaskVectorEnv
+from cdcsr.robot.description import load_robot
+from cdcsr.simulation.contract import Array
+from cdcsr.simulation.engines import make_simulation
+from cdcsr.simulation.plant import Parameters
+from cdcsr.simulation.randomization import Randomization
+from cdcsr.tasks.catalogue import make_task
+from cdcsr.tasks.spaces import make_space
+
+SMALL = load_robot("planar-single")
+ALL = Disturbances(action_noise=0.1, base_noise=0.01, packet_loss=0.3, observation_delay=2)
+
+
+def targets(disturbances: Disturbances | None, seed: int, episodes: int) -> list[Array]:
+    """Of two copies, of one episode after the other."""
+    env = TaskVectorEnv(2, SMALL, max_steps=3, disturbances=disturbances)
+    env.reset(seed=seed)
+    found = [env.targets.copy()]
+    for _ in range(3 * (episodes - 1)):
+        _, _, terminated, truncated, _ = env.step(np.zeros((2, SMALL.num_cables)))
+        if (terminated | truncated).all():
+            found.append(env.targets.copy())
+    env.close()
+    return found
+
+
+@pytest.mark.parametrize("seed", [0, 5])
+@pytest.mark.parametrize("disturbances", [None, ALL])
+def test_targets_are_of_the_seed_alone_whatever_disturbs(
+    seed: int, disturbances: Disturbances | None
+) -> None:
+    """In this episode and in later ones; drawn here once more."""
+    rng, space = np.random.default_rng(seed), make_space("anchor", SMALL)
+    expected = [space.sample(rng, 2) for _ in range(4)]
+    np.testing.assert_array_equal(targets(disturbances, seed, 4), expected)
+
+
+@pytest.mark.parametrize("seed", [0, 5])
+def test_a_seed_given_again_begins_the_disturbances_anew(seed: int) -> None:
+    env, runs = TaskVectorEnv(2, SMALL, disturbances=ALL), []
+    for _ in range(2):
+        first, _ = env.reset(seed=seed)
+        runs.append([first, *(env.step(np.full((2, SMALL.num_cables), -1.0))[0] for _ in range(8))])
+    env.close()
+    np.testing.assert_array_equal(runs[0], runs[1])
+
+
+@pytest.mark.parametrize("frame_skip", [1, 4])
+def test_a_target_moves_by_the_time_step_of_its_robot(frame_skip: int) -> None:
+    robot = SMALL.model_copy(update={"time_step": 0.001})
+    env = TaskVectorEnv(
+        3, robot, task="follow-line", frame_skip=frame_skip, autoreset_mode="Disabled"
+    )
+    env.reset(seed=1)
+    start, velocity = env.targets.copy(), env.target_velocity.copy()
+    for _ in range(10):
+        env.step(np.zeros((3, robot.num_cables)))
+    np.testing.assert_allclose(
+        env.targets, start + velocity * 10 * frame_skip * 0.001, rtol=0, atol=1e-12
+    )
+    env.close()
+
+
+@pytest.mark.parametrize(("speed", "expected"), [(0.04, False), (0.11, True)])
+def test_a_task_is_told_how_the_target_moves(speed: float, expected: bool) -> None:
+    """The tip is idle, and the target comes by at 0.05 to 0.1 m/s."""
+    task = replace(make_task("capture", motion="line"), speed=speed)
+    env = TaskVectorEnv(2, SMALL, task=task, autoreset_mode="Disabled")
+    observation, _ = env.reset(seed=0)
+    _, info = env.reset(options={"targets": observation[:, :3]})
+    assert info["on_target"].tolist() == [expected] * 2
+    for _ in range(5):
+        *_, info = env.step(np.zeros((2, SMALL.num_cables)))
+        assert (info["distance"] <= 0.03).all()
+        assert info["on_target"].tolist() == [expected] * 2
+    env.close()
+
+
+def test_until_something_late_arrives_the_first_observation_stands_as_it_was_seen() -> None:
+    """Noise is of the measurement, and what is late has been measured already."""
+    through = Channel(Disturbances(base_noise=0.1, observation_delay=3), np.random.default_rng(0))
+    sent = np.arange(6 * 2 * 31, dtype=float).reshape(6, 2, 31)
+    first = through.start(sent[0], np.ones(2, dtype=bool))
+    assert (first[:, 10:13] != sent[0, :, 10:13]).all()
+    for row in sent[1:4]:
+        np.testing.assert_array_equal(through.observe(row), first)
+    assert (through.observe(sent[4]) != first).any()
+
+
+@pytest.mark.parametrize("backend", ["mujoco", "pybullet"])
+def test_an_episode_is_on_its_plant_from_its_first_step_on(backend: str) -> None:
+    """What is left of the plant before, and of the commands on their way to it, must not show."""
+    randomization = Randomization(SMALL, 2, 1.0, np.random.default_rng(0))
+    env = TaskVectorEnv(2, SMALL, backend, max_steps=6, randomization=randomization)
+    commands = np.random.default_rng(1).uniform(-3, 0, (6, 2, SMALL.num_cables))
+    env.reset(seed=0)
+    for _ in range(3):
+        for command in commands:
+            env.step(command)
+        plain = make_simulation(SMALL, backend, 2)
+        plain.set_parameters(
+            None, Parameters(**{name: rows.copy() for name, rows in randomization.drawn.items()})
+        )
+        plain.reset()
+        for command in commands[:5]:
+            observation, *_ = env.step(command)
+            plain.step(command)
+            np.testing.assert_allclose(
+                observation[:, :3], plain.state().tip_position, rtol=0, atol=1e-9
+            )
+            np.testing.assert_allclose(
+                observation[:, 23:], plain.state().cable_travel, rtol=0, atol=1e-9
+            )
+        plain.close()
+        env.step(commands[5])
+    env.close()

@@ -1,0 +1,142 @@
+"""Cable lengths against guide-by-guide geometry, and their Jacobian against finite differences."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from cdcsr.robot.description import Robot, load_robot, shipped_robots
+from cdcsr.robot.routing import Array, cable_jacobian, cable_lengths, routing
+
+
+@pytest.fixture(params=shipped_robots())
+def robot(request: pytest.FixtureRequest) -> Robot:
+    return load_robot(request.param)
+
+
+def random_state(robot: Robot, seed: int, shape: tuple[int, ...] = ()) -> tuple[Array, Array]:
+    """Travel and hinge angles, both within what the robot can reach."""
+    random = np.random.default_rng(seed)
+    travel = random.uniform(-0.05, 0.05, (*shape, robot.num_cables))
+    return travel, random.uniform(-0.8, 0.8, (*shape, robot.num_hinges))
+
+
+def transform(rotation: Array, translation: tuple[float, float, float]) -> Array:
+    matrix = np.eye(4)
+    matrix[:3, :3], matrix[:3, 3] = rotation, translation
+    return matrix
+
+
+def turn_x(angle: float) -> Array:
+    c, s = np.cos(angle), np.sin(angle)
+    return np.array([[1, 0, 0], [0, c, -s], [0, s, c]])
+
+
+def turn_y(angle: float) -> Array:
+    c, s = np.cos(angle), np.sin(angle)
+    return np.array([[c, 0, s], [0, 1, 0], [-s, 0, c]])
+
+
+def brute_force_length(robot: Robot, cable: int, travel: Array, hinges: Array) -> float:
+    """One cable's length, from the world position of its slider and of each of its guides."""
+    owners = [s for s, segment in enumerate(robot.segments) for _ in segment.cables.angles_deg]
+    own = owners[cable]
+    cables, servo = robot.segments[own].cables, robot.segments[own].servo
+    angle = np.deg2rad(cables.angles_deg[cable - owners.index(own)])
+    x, y = cables.pitch_radius * np.cos(angle), cables.pitch_radius * np.sin(angle)
+    offset = cables.guide_offset
+    start = robot.base.size[2] / 2 - offset
+    points = [np.array([x, y, start - servo.offset + travel[cable]]), np.array([x, y, start])]
+    frame = transform(np.eye(3), (0, 0, robot.base.size[2] / 2))
+    joint = 0
+    for segment in robot.segments[: own + 1]:
+        for _ in range(segment.links):
+            frame = frame @ transform(turn_x(hinges[2 * joint]), (0, 0, 0))
+            frame = frame @ transform(turn_y(hinges[2 * joint + 1]), (0, 0, 0))
+            for height in (offset, segment.link.length - offset):
+                points.append((frame @ np.array([x, y, height, 1]))[:3])
+            frame = frame @ transform(np.eye(3), (0, 0, segment.link.length))
+            joint += 1
+    return float(np.linalg.norm(np.diff(points, axis=0), axis=1).sum())
+
+
+def test_rest_lengths_of_the_paper_robot() -> None:
+    # 0.2 m from slider to first guide; 0.02 m up to the face, less the 0.02 m that the anchor lies below the
+    # last link's end; 6 or 12 links of 0.2 m.
+    route = routing(load_robot("paper"))
+    np.testing.assert_allclose(route.rest_length, [1.4] * 4 + [2.6] * 4, rtol=1e-15)
+
+
+def test_at_rest_a_cable_has_its_rest_length(robot: Robot) -> None:
+    route = routing(robot)
+    length = cable_lengths(route, np.zeros(robot.num_cables), np.zeros(robot.num_hinges))
+    np.testing.assert_allclose(length, route.rest_length, rtol=1e-14)
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_length_is_the_distance_along_the_guides(robot: Robot, seed: int) -> None:
+    travel, hinges = random_state(robot, seed)
+    expected = [brute_force_length(robot, c, travel, hinges) for c in range(robot.num_cables)]
+    np.testing.assert_allclose(cable_lengths(routing(robot), travel, hinges), expected, rtol=1e-13)
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_jacobian_is_the_derivative_of_length(robot: Robot, seed: int) -> None:
+    route = routing(robot)
+    travel, hinges = random_state(robot, seed)
+    both = np.concatenate([travel, hinges])
+    step = 1e-6
+    columns = []
+    for i in range(len(both)):
+        moved = np.stack([both, both])
+        moved[0, i] += step
+        moved[1, i] -= step
+        ahead, behind = cable_lengths(
+            route, moved[:, : robot.num_cables], moved[:, robot.num_cables :]
+        )
+        columns.append((ahead - behind) / (2 * step))
+    # Rounding of lengths near 3 m, divided by the step, is a few 1e-10.
+    np.testing.assert_allclose(
+        cable_jacobian(route, travel, hinges), np.stack(columns, axis=-1), atol=2e-9
+    )
+
+
+def test_pulling_a_slider_lengthens_its_own_cable_and_no_other(robot: Robot) -> None:
+    travel, hinges = random_state(robot, 0)
+    jacobian = cable_jacobian(routing(robot), travel, hinges)
+    np.testing.assert_array_equal(jacobian[:, : robot.num_cables], -np.eye(robot.num_cables))
+
+
+def test_a_cable_knows_nothing_of_the_joints_beyond_its_anchor(robot: Robot) -> None:
+    route = routing(robot)
+    travel, hinges = random_state(robot, 0)
+    _, others = random_state(robot, 1)
+    jacobian = cable_jacobian(route, travel, hinges)[:, robot.num_cables :]
+    for c, joints in enumerate(route.joints):
+        changed = np.concatenate([hinges[: 2 * joints], others[2 * joints :]])
+        assert cable_lengths(route, travel, changed)[c] == cable_lengths(route, travel, hinges)[c]
+        assert not jacobian[c, 2 * joints :].any()
+        assert jacobian[c, : 2 * joints].all()
+
+
+def test_cables_end_on_their_own_segment(robot: Robot) -> None:
+    ends = np.cumsum([segment.links for segment in robot.segments])
+    expected = [
+        end for end, s in zip(ends, robot.segments, strict=True) for _ in s.cables.angles_deg
+    ]
+    np.testing.assert_array_equal(routing(robot).joints, expected)
+
+
+def test_batches_give_what_single_states_give(robot: Robot) -> None:
+    route = routing(robot)
+    travel, hinges = random_state(robot, 0, (2, 3))
+    lengths, jacobians = cable_lengths(route, travel, hinges), cable_jacobian(route, travel, hinges)
+    assert lengths.shape == (2, 3, robot.num_cables)
+    assert jacobians.shape == (2, 3, robot.num_cables, robot.num_cables + robot.num_hinges)
+    for i in np.ndindex(2, 3):
+        np.testing.assert_allclose(
+            lengths[i], cable_lengths(route, travel[i], hinges[i]), rtol=1e-15
+        )
+        np.testing.assert_allclose(
+            jacobians[i], cable_jacobian(route, travel[i], hinges[i]), atol=1e-16
+        )

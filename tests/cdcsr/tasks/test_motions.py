@@ -1,0 +1,95 @@
+"""How targets move, against formulas."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from cdcsr.errors import CdcsrError
+from cdcsr.tasks.target_motion import MOTIONS, Array, Tumble, Wander, make_motion
+
+STEP = 0.0025
+
+
+def run(name: str, steps: int, num: int = 6, seed: int = 0) -> tuple[Array, Array, Array]:
+    """Positions and velocities, shape (steps + 1, num, 3), and what was remembered at first."""
+    rng, motion = np.random.default_rng(seed), make_motion(name)
+    position = rng.normal(size=(num, 3))
+    velocity, memory = motion.begin(rng, position)
+    first, rows = memory.copy(), [(position.copy(), velocity.copy())]
+    for _ in range(steps):
+        motion.advance(position, velocity, memory, STEP)
+        rows.append((position.copy(), velocity.copy()))
+    return np.array([p for p, _ in rows]), np.array([v for _, v in rows]), first
+
+
+@pytest.mark.parametrize("name", MOTIONS)
+def test_velocity_is_the_rate_of_the_position(name: str) -> None:
+    """By central differences; a random acceleration jumps now and then, by 0.8 m/s^2 at most."""
+    position, velocity, _ = run(name, 1000)
+    rate = (position[2:] - position[:-2]) / (2 * STEP)
+    np.testing.assert_allclose(velocity[1:-1], rate, atol=0.8 * STEP if name == "random" else 2e-6)
+
+
+@pytest.mark.parametrize("name", ["drift", "line"])
+def test_straight_motions_are_start_plus_velocity_times_time(name: str) -> None:
+    position, velocity, _ = run(name, 500, num=200)
+    np.testing.assert_allclose(position[500], position[0] + velocity[0] * 1.25, atol=1e-12)
+    np.testing.assert_array_equal(velocity[500], velocity[0])
+    speed = np.linalg.norm(velocity[0], axis=1)
+    assert 0.095 < speed.max() <= 0.1
+    if name == "line":
+        np.testing.assert_array_equal(velocity[0, :, :2], 0)
+        assert velocity[0, :, 2].max() <= -0.05
+    else:
+        assert speed.min() < 0.005
+        assert np.abs(velocity[0].mean(axis=0)).max() < 0.02  # in all directions alike
+
+
+@pytest.mark.parametrize("name", ["tumble", "circle"])
+def test_turning_keeps_distance_to_the_centre_and_height_along_the_axis(name: str) -> None:
+    position, velocity, memory = run(name, 1000, num=200)
+    center, spin = memory[:, :3], memory[:, 3:]
+    radius = np.linalg.norm(position - center, axis=2)
+    np.testing.assert_allclose(radius, np.broadcast_to(radius[0], radius.shape), atol=1e-12)
+    along = np.sum((position - center) * spin, axis=2)
+    np.testing.assert_allclose(along, np.broadcast_to(along[0], along.shape), atol=1e-12)
+    speed = np.linalg.norm(velocity, axis=2)
+    np.testing.assert_allclose(speed, np.broadcast_to(speed[0], speed.shape), atol=1e-12)
+    if name == "tumble":
+        assert Tumble.radius[0] <= radius.min()
+        assert radius.max() <= Tumble.radius[1]
+        assert speed.max() <= 0.1
+    else:
+        np.testing.assert_allclose(
+            position[..., 2], np.broadcast_to(position[0, :, 2], position.shape[:2])
+        )
+        # 2.5 rad/s for 2.5 s: 6.25 rad, back to where it began but for 0.033 rad.
+        short = 2 * radius[0] * np.sin((2 * np.pi - 6.25) / 2)
+        np.testing.assert_allclose(
+            np.linalg.norm(position[1000] - position[0], axis=1), short, atol=1e-9
+        )
+
+
+def test_a_random_acceleration_is_held_and_then_another() -> None:
+    """What the spring and the damper do not explain is constant for 100 steps, and another in the next 100."""
+    position, velocity, memory = run("random", 300, num=3)
+    rate = np.diff(velocity, axis=0) / STEP
+    drawn = rate + 2.0 * (position[:-1] - position[0]) + 1.0 * velocity[:-1]
+    for k in range(3):
+        held = drawn[100 * k : 100 * (k + 1)]
+        np.testing.assert_allclose(held, np.broadcast_to(held[0], held.shape), atol=1e-9)
+        np.testing.assert_allclose(held[0], memory[:, 4 + 3 * k : 7 + 3 * k], atol=1e-9)
+    assert (np.linalg.norm(drawn, axis=2) <= Wander.acceleration + 1e-9).all()
+    assert (drawn[0] != drawn[100]).all()
+
+
+def test_a_wandering_target_stays_near() -> None:
+    position, velocity, _ = run("random", 1000, num=300)
+    assert np.linalg.norm(position - position[0], axis=2).max() < 0.3
+    assert np.linalg.norm(velocity, axis=2).max() < 0.3
+
+
+def test_an_unknown_motion_is_an_error() -> None:
+    with pytest.raises(CdcsrError, match=r"Unknown motion 'tumbel'\. Did you mean 'tumble'\?"):
+        make_motion("tumbel")

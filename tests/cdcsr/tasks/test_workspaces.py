@@ -1,0 +1,83 @@
+"""Maps of workspaces: cells between points, targets in them, and files."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from cdcsr.errors import CdcsrError
+from cdcsr.robot.description import load_robot
+from cdcsr.tasks.spaces import demonstration_space, make_space
+from cdcsr.tasks.workspace_map import Workspace, cells_between
+
+PAPER = load_robot("paper")
+
+
+def two_cells() -> Workspace:
+    cells = np.array([[0, 0, 0], [5, 0, -1]], dtype=np.int16)
+    return Workspace(PAPER.fingerprint, np.array([1.0, 2.0, 3.0]), np.array([0.1, 0.1, 0.1]), cells)
+
+
+def test_targets_are_uniform_in_the_cells() -> None:
+    targets = two_cells().sample(np.random.default_rng(0), 20_000)
+    first = targets[:, 0] < 1.25
+    assert abs(first.mean() - 0.5) < 0.015
+    for inside, corner in ((first, [1, 2, 3]), (~first, [1.5, 2, 2.9])):
+        place = (targets[inside] - corner) / 0.1
+        assert place.min() >= -1e-9
+        assert place.max() <= 1 + 1e-9
+        np.testing.assert_allclose(place.mean(axis=0), 0.5, atol=0.02)
+        np.testing.assert_allclose(place.var(axis=0), 1 / 12, atol=0.005)
+
+
+def test_a_cell_needs_all_its_corners() -> None:
+    """Of 3 x 2 x 2 points, two cells; without one of the four in the middle, none; without an outer one, one."""
+    grid = np.stack(np.meshgrid(range(3), range(2), range(2), indexing="ij"), axis=-1).reshape(
+        -1, 3
+    )
+    cells, wide = cells_between(grid)
+    assert wide.all()
+    assert sorted(cells.tolist()) == [[0, 0, 0], [1, 0, 0]]
+    assert len(cells_between(grid[(grid != [1, 0, 1]).any(axis=1)])[0]) == 0
+    assert cells_between(grid[(grid != [2, 1, 1]).any(axis=1)])[0].tolist() == [[0, 0, 0]]
+
+
+def test_points_in_a_plane_make_flat_cells() -> None:
+    grid = np.stack(np.meshgrid(range(2), [4], range(3), indexing="ij"), axis=-1).reshape(-1, 3)
+    cells, wide = cells_between(grid)
+    assert wide.tolist() == [True, False, True]
+    assert sorted(cells.tolist()) == [[0, 4, 0], [0, 4, 1]]
+    assert len(cells_between(grid[:1])[0]) == 0  # one point is no cell
+
+
+def test_a_saved_map_is_a_space_of_its_robot_alone(tmp_path: Path) -> None:
+    path = tmp_path / "map.npz"
+    two_cells().save(path)
+    space = make_space(str(path), PAPER)
+    assert space.name == "workspace"
+    ours, theirs = (s.sample(np.random.default_rng(1), 9) for s in (space, two_cells()))
+    np.testing.assert_array_equal(ours, theirs)
+    with pytest.raises(CdcsrError, match=r"is of another robot .*cdcsr workspace three-cable"):
+        make_space(str(path), load_robot("three-cable"))
+
+
+def test_a_map_that_is_missing_or_damaged_names_the_command(tmp_path: Path) -> None:
+    with pytest.raises(
+        CdcsrError,
+        match=r"no map of the workspace of robot 'other'; make one with `cdcsr workspace",
+    ):
+        make_space("workspace", PAPER.model_copy(update={"name": "other"}))
+    with pytest.raises(CdcsrError, match=r"Cannot read the map .*none\.npz"):
+        make_space(str(tmp_path / "none.npz"), PAPER)
+    path = tmp_path / "map.npz"
+    two_cells().save(path)
+    path.write_bytes(path.read_bytes()[:-40])
+    with pytest.raises(CdcsrError, match="is no map of a workspace"):
+        make_space(str(path), PAPER)
+
+
+def test_demonstrations_for_a_workspace_are_taken_all_around() -> None:
+    assert [demonstration_space(n) for n in ("anchor", "floating", "spatter")] == ["anchor"] * 3
+    assert [demonstration_space(n) for n in ("workspace", "my.npz")] == ["workspace", "my.npz"]

@@ -1,0 +1,172 @@
+"""What the tests of physics share: altered robots, states and commands, and the quantities mechanics conserves.
+
+Nothing here knows an engine; everything is measured through the contract.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from typing import Any
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from cdcsr.robot.description import Robot
+from cdcsr.robot.routing import cable_lengths, routing
+from cdcsr.simulation.contract import Array, Simulation, Snapshot
+from cdcsr.simulation.engines import make_simulation
+from cdcsr.simulation.plant import Parameters
+
+Make = Callable[..., Simulation]
+"""Makes a simulation in the engine of a name: engine, robot, num."""
+
+
+@contextmanager
+def running(robot: Robot, engine: str, num: int = 1) -> Iterator[Simulation]:
+    """A simulation that is closed at the end."""
+    simulation = make_simulation(robot, engine, num)
+    try:
+        yield simulation
+    finally:
+        simulation.close()
+
+
+def changed(robot: Robot, **keys: Any) -> Robot:
+    """The robot with some top-level keys replaced, checked as if read from a file."""
+    return Robot.model_validate(robot.model_dump() | keys)
+
+
+def with_parts(robot: Robot, **parts: dict[str, Any]) -> Robot:
+    """The robot with some numbers of a part (``link``, ``joint``, ``servo``, ...) replaced in every segment."""
+    segments = [
+        segment | {part: segment[part] | numbers for part, numbers in parts.items()}
+        for segment in robot.model_dump()["segments"]
+    ]
+    return changed(robot, segments=segments)
+
+
+def finer(robot: Robot, divide: int) -> Robot:
+    """The same robot in smaller steps; what takes back an excess stays as fast as it was."""
+    return changed(robot, time_step=robot.time_step / divide)
+
+
+def commands_of(robot: Robot, steps: int, num: int = 1, seed: int = 0, hold: int = 20) -> Array:
+    """Random commands, shape (steps, num, C), each held for some steps as only then do they move the arm."""
+    eta = np.array([servo.eta for servo in robot.servos])
+    draws = (
+        np.random.default_rng(seed).uniform(-1, 0, (-(-steps // hold), num, robot.num_cables)) * eta
+    )
+    return np.repeat(draws, hold, axis=0)[:steps]
+
+
+def at(robot: Robot, position: Array, velocity: Array) -> Snapshot:
+    """A state as a snapshot that every engine takes."""
+    num = len(position)
+    return Snapshot(
+        "by hand", robot.fingerprint, np.zeros(num), position, velocity, np.zeros((num, 0))
+    )
+
+
+def described_bodies(robot: Robot) -> Iterator[tuple[str, float, tuple[float, float, float], Any]]:
+    """Name, mass, inertia, and centre of mass of the straight robot in the world, of every body."""
+    yield "base", robot.base.mass, robot.base.inertia, (0, 0, 0)
+    cable, height = 0, robot.base.size[2] / 2
+    for segment in robot.segments:
+        cables, servo = segment.cables, segment.servo
+        for angle in np.deg2rad(cables.angles_deg):
+            x, y = cables.pitch_radius * np.cos(angle), cables.pitch_radius * np.sin(angle)
+            z = robot.base.size[2] / 2 - cables.guide_offset - servo.offset
+            moment = 2 / 5 * servo.mass * servo.radius**2  # a solid ball
+            yield f"slider_{cable}", servo.mass, (moment, moment, moment), (x, y, z)
+            cable += 1
+    number = 0
+    for segment in robot.segments:
+        for _ in range(segment.links):
+            yield (
+                f"link_{number}",
+                segment.link.mass,
+                segment.link.inertia,
+                (0, 0, height + segment.link.length / 2),
+            )
+            height += segment.link.length
+            number += 1
+
+
+def straight(robot: Robot, num: int = 1, travel: float = 0.0) -> Snapshot:
+    """At rest and straight, all sliders at the same place (positive: all cables slack)."""
+    position = np.zeros((num, 7 + robot.num_cables + robot.num_hinges))
+    position[:, 3] = 1
+    position[:, 7 : 7 + robot.num_cables] = travel
+    return at(robot, position, np.zeros((num, robot.num_coordinates)))
+
+
+def moving(robot: Robot, num: int, bend: float = 0.3, seed: int = 0) -> Snapshot:
+    """Turned, bent robots with every coordinate in motion; some cables are slack, some taut, some too long."""
+    rng, cables, hinges = np.random.default_rng(seed), robot.num_cables, robot.num_hinges
+    turn = Rotation.random(num, rng=rng).as_quat(scalar_first=True)
+    place = [rng.uniform(-1, 1, (num, 3)), turn, rng.uniform(-0.05, 0.05, (num, cables))]
+    position = np.concatenate([*place, rng.uniform(-bend, bend, (num, hinges))], axis=1)
+    return at(robot, position, rng.uniform(-1, 1, (num, robot.num_coordinates)))
+
+
+def slack(robot: Robot, simulation: Simulation) -> Array:
+    """How much shorter than at rest every cable is, shape (num, C), in [m]; negative is too long."""
+    state, route = simulation.state(), routing(robot)
+    return route.rest_length - cable_lengths(route, state.cable_travel, state.joint_angles)
+
+
+def momentum(simulation: Simulation) -> tuple[Array, Array, Array]:
+    """Linear momentum [kg m/s], angular momentum about the centre of mass [kg m²/s], and that centre [m]; (num, 3)."""
+    equation = simulation.dynamics()
+    mass, velocity = equation.mass_matrix, equation.velocity[..., None]
+    linear, about_base = (mass[:, :3] @ velocity)[..., 0], (mass[:, 3:6] @ velocity)[..., 0]
+    # Angular momentum of a unit translation is (first moment) x (direction).
+    center = np.stack([mass[:, 5, 1], mass[:, 3, 2], mass[:, 4, 0]], axis=1) / mass[:, :1, 0]
+    return linear, about_base - np.cross(center, linear), simulation.state().base_position + center
+
+
+def energy(robot: Robot, simulation: Simulation, command: Array) -> Array:
+    """Kinetic energy, hinge springs, and servos as springs from slider to set-point, shape (num,), in [J]."""
+    equation, state = simulation.dynamics(), simulation.state()
+    kinetic = 0.5 * np.einsum(
+        "ni,nij,nj->n", equation.velocity, equation.mass_matrix, equation.velocity
+    )
+    stiffness = np.array([joint.stiffness for _, joint in robot.links for _ in "xy"])
+    gain = np.array([servo.gain for servo in robot.servos])
+    springs = 0.5 * state.joint_angles**2 @ stiffness
+    return kinetic + springs + 0.5 * (state.cable_travel - command) ** 2 @ gain
+
+
+def random_parameters(robot: Robot, num: int, seed: int = 0) -> Parameters:
+    """Every part of every copy of its own."""
+    random = np.random.default_rng(seed)
+
+    def factors(parts: int) -> Array:
+        return random.uniform(0.7, 1.4, (num, parts))
+
+    return Parameters(
+        base_mass=factors(1)[:, 0],
+        base_inertia=factors(1),
+        link_mass=factors(robot.num_links),
+        link_inertia=factors(robot.num_links),
+        joint_stiffness=factors(robot.num_links),
+        joint_damping=factors(robot.num_links),
+        slider_damping=factors(robot.num_cables),
+        servo_gain=factors(robot.num_cables),
+        rest_length_offset=random.uniform(-0.002, 0.002, (num, robot.num_cables)),
+    )
+
+
+def assert_same(
+    found: Snapshot, expected: Snapshot, copies: Any = slice(None), atol: float = 0.0
+) -> None:
+    """Time, positions and velocities of some copies are the same."""
+    for name in ("time", "position", "velocity"):
+        np.testing.assert_allclose(
+            getattr(found, name)[copies],
+            getattr(expected, name)[copies],
+            rtol=0,
+            atol=atol,
+            err_msg=name,
+        )

@@ -1,0 +1,49 @@
+"""What makes runs, and jobs of the study, take seconds."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+from cdcsr.robot.description import Robot
+from training.networks.actor_critic import Actor
+from training.policy import Policy
+from training.run import locks
+from training.study.declare.grid import Budget
+from training.study.declare.run_spec import RunSpec
+from training.study.execute.jobs import Job
+
+FRAME_SKIP = 10
+"""Episodes of 25 actions, so that some end within a short run."""
+TINY = (
+    ("batch_size", 32),
+    ("bc_rollouts", 4),
+    ("bc_updates", 100),
+    ("hidden", (16, 16)),
+    ("num_envs", 4),
+)
+"""What is switched in a job's learner."""
+CENTERS = np.array([[0.1, 0.2, 2.4]])
+"""Of the demonstrations' targets of `untrained_policy`: nobody else's."""
+TINY_BUDGET = Budget("tiny", 1, 60, 60, 2, 20, 2)
+
+
+def tiny_job(
+    updates: int = 60, evaluations: tuple[str, ...] = ("nominal",), **options: object
+) -> Job:
+    """Of TD3, unless the options, fields of its :class:`RunSpec`, say something else."""
+    spec = replace(RunSpec("td3", updates=updates, demonstrations=1, switches=TINY), **options)
+    return Job(spec, evaluations, TINY_BUDGET)
+
+
+def untrained_policy(robot: Robot) -> Policy:
+    """Whose options are all other than the defaults."""
+    card = {"name": "p", "backend": "pybullet", "space": "floating", "frame_skip": 5}
+    return Policy(Actor(robot, False, (4,), "relu"), robot, CENTERS, card)
+
+
+def is_held(path: Path) -> bool:
+    """Whether a live process holds the lock."""
+    return path.exists() and not locks._is_stale(path)

@@ -1,0 +1,94 @@
+"""The video: what was recorded is what is shown, in every engine."""
+
+from __future__ import annotations
+
+import gc
+import warnings
+from pathlib import Path
+
+import imageio.v2 as imageio
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from PIL import Image, ImageSequence
+
+from backends.viewers.software import BACKGROUND, TARGET_RADIUS, Renderer
+from cdcsr.robot.description import load_robot
+from controllers.jacobian import JacobianController
+from training.plots import video
+
+ROBOT = load_robot("paper")
+TARGETS = np.array([(0.25, 0.1, 2.5), (0.15, 0.05, 2.4)])
+BACKENDS = ("mujoco", "pybullet")
+
+
+def read_video(path: Path) -> NDArray[np.int64]:
+    """All frames, shape (n, height, width, 3)."""
+    with warnings.catch_warnings():
+        warnings.simplefilter(
+            "ignore", ResourceWarning
+        )  # the reader leaves a pipe open until it is collected
+        frames = np.array(list(imageio.get_reader(path).iter_data()), dtype=np.int64)
+        gc.collect()
+    return frames
+
+
+@pytest.fixture(scope="module")
+def recordings() -> list[video.Recording]:
+    return [
+        video.record(JacobianController(ROBOT), ROBOT, backend, TARGETS) for backend in BACKENDS
+    ]
+
+
+def test_recording_ends_where_the_episodes_do(recordings: list[video.Recording]) -> None:
+    for recording in recordings:
+        assert recording.success.all()
+        assert len(recording.position) == recording.end.max() + 1
+        for n, end in enumerate(recording.end):
+            assert recording.distance[end, n] <= 0.03 < recording.distance[end - 1, n]
+        straight = np.zeros(ROBOT.num_cables + ROBOT.num_hinges)
+        np.testing.assert_allclose(recording.position[0, :, 7:], [straight, straight], atol=1e-12)
+        start = np.linalg.norm(TARGETS - (0, 0, ROBOT.top + ROBOT.arm_length), axis=1)
+        np.testing.assert_allclose(recording.distance[0], start, atol=1e-9)
+
+
+def test_video_shows_a_moving_robot_in_each_half(
+    recordings: list[video.Recording], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(video, "FRAME_PERIOD", 0.1)  # every 40th step
+    frames = list(video.draw_frames(recordings, ROBOT, TARGETS, ROBOT.time_step))
+    ends = np.array([recording.end for recording in recordings])
+    # Steps 0, 40, ... before the end, and the end itself; then the end stays.
+    expected = int((-(-ends // 40) + 1).max(axis=0).sum()) + len(TARGETS) * video.HOLD
+    assert len(frames) == expected
+
+    video.write_video(frames, tmp_path / "policy.mp4")
+    video.write_video(frames, tmp_path / "policy.gif")
+    read = read_video(tmp_path / "policy.mp4")
+    assert read.shape == (expected, video.CAPTION + video.HEIGHT, 2 * video.WIDTH, 3)
+    for half in np.split(read, 2, axis=2):
+        drawn = half[:, video.CAPTION :]
+        share = (abs(drawn - BACKGROUND).max(axis=3) > 40).mean(axis=(1, 2))
+        assert (share > 0.05).all()
+        assert (share < 0.5).all()
+        assert abs(drawn[0] - drawn[video.HOLD]).max() > 100
+    with Image.open(tmp_path / "policy.gif") as animation:
+        assert animation.size == (video.WIDTH, (video.CAPTION + video.HEIGHT) // 2)
+        duration = sum(frame.info["duration"] for frame in ImageSequence.Iterator(animation))
+    assert duration == pytest.approx(1000 * expected / video.FRAMES_PER_SECOND, rel=0.1)
+
+
+def test_focus_puts_a_point_in_the_middle_at_the_scale_asked_for(
+    recordings: list[video.Recording],
+) -> None:
+    renderer = Renderer(ROBOT)
+    target, span, pixels = np.array((0.5, -0.4, 1.0)), 0.36, 120
+    picture = renderer.draw(
+        recordings[0].position[0, 0], targets=target, size=(pixels, pixels), focus=(target, span)
+    )
+    renderer.close()
+    ball = picture[..., 0] > 2 * picture[..., 1:].max(axis=2).astype(int)  # the only red thing
+    rows, columns = np.nonzero(ball)
+    assert abs(rows.mean() - pixels / 2) < 2
+    assert abs(columns.mean() - pixels / 2) < 2
+    assert ball.sum() == pytest.approx(np.pi * (TARGET_RADIUS * pixels / span) ** 2, rel=0.2)

@@ -1,0 +1,232 @@
+"""That a training run hands each of its options to who is to heed it, and its folder to one process only."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+import torch
+from safetensors.torch import load_file
+
+from cdcsr.errors import CdcsrError
+from cdcsr.simulation.randomization import Randomization
+from tests.support.tiny import FRAME_SKIP
+from training.config.ranges import EVALUATION_SEEDS
+from training.config.run_config import PRESETS, Train, learner_for
+from training.config.seeds import TEST_SEED, VALIDATION_SEED
+from training.experience.collector import Collector, FinishedEpisode
+from training.networks.actor_critic import Actor
+from training.run import trainer
+from training.run.heeded import refuse_unheeded
+from training.run.locks import Busy, lock
+from training.run.metrics import COLUMNS, Metrics, read_metrics
+from training.run.trainer import train
+
+_SMALL = dataclasses.replace(
+    PRESETS["tuned"],
+    hidden=(16, 16),
+    batch_size=32,
+    num_envs=4,
+    updates=61,
+    bc_updates=50,
+    bc_rollouts=2,
+)
+
+
+def config(out: Path, demonstrations: Path, **options: Any) -> Train:
+    usual: dict[str, Any] = {
+        "space": "spatter",
+        "frame_skip": FRAME_SKIP,
+        "evaluate_every": 0,
+        "learner": _SMALL,
+    }
+    return Train(out, demonstrations=demonstrations, evaluate_episodes=2, **{**usual, **options})
+
+
+class Watched(Collector):
+    """Remembers how it was used."""
+
+    seen: list[Watched]
+
+    def __init__(self, *arguments: Any) -> None:
+        super().__init__(*arguments)
+        self.actors: list[Actor] = []
+        Watched.seen.append(self)
+
+    def start(self, seed: int) -> None:
+        self.seed = seed
+        super().start(seed)
+
+    def step(self, actor: Actor) -> Iterator[FinishedEpisode]:
+        self.actors.append(actor)
+        return super().step(actor)
+
+
+@pytest.fixture
+def watched(monkeypatch: pytest.MonkeyPatch) -> list[Watched]:
+    Watched.seen = []
+    monkeypatch.setattr(trainer, "Collector", Watched)
+    return Watched.seen
+
+
+def test_seed_plants_and_updates_for_each_step_arrive(
+    tmp_path: Path, demonstrations: Path, watched: list[Watched]
+) -> None:
+    learner = dataclasses.replace(_SMALL, updates_per_step=3)
+    train(
+        config(
+            tmp_path / "run",
+            demonstrations,
+            algorithm="td3",
+            seed=5,
+            randomize=1.0,
+            learner=learner,
+        )
+    )
+    (collector,) = watched
+    assert collector.seed == 5
+    assert isinstance(collector.env.randomization, Randomization)
+    assert len(collector.actors) == 21  # for 61 updates, 3 for each step
+
+
+def test_the_actor_explores_and_its_average_is_kept(
+    tmp_path: Path, demonstrations: Path, watched: list[Watched]
+) -> None:
+    policy = train(config(tmp_path / "run", demonstrations, algorithm="td3"))
+    explored, kept = (dict(one.state_dict()) for one in (watched[0].actors[-1], policy.actor))
+    assert any(not torch.equal(explored[name], kept[name]) for name in kept)
+    last = dataclasses.replace(_SMALL, averaged_policy=False)
+    policy = train(config(tmp_path / "last", demonstrations, algorithm="td3", learner=last))
+    explored, kept = (dict(one.state_dict()) for one in (watched[1].actors[-1], policy.actor))
+    assert all(torch.equal(explored[name], kept[name]) for name in kept)
+
+
+def test_the_average_starts_from_the_clone_as_the_actor_does(
+    tmp_path: Path, demonstrations: Path
+) -> None:
+    still = dataclasses.replace(
+        _SMALL,
+        clone_start=True,
+        clone_anchor=0.5,
+        learning_rate=1e-30,
+        soft_update=1e-30,
+        updates=3,
+    )
+    weights = []
+    for averaged in (True, False):
+        learner = dataclasses.replace(still, averaged_policy=averaged)
+        train(config(tmp_path / str(averaged), demonstrations, algorithm="clasp", learner=learner))
+        weights.append(load_file(tmp_path / str(averaged) / "policy.safetensors"))
+    for name in weights[0]:
+        torch.testing.assert_close(weights[0][name], weights[1][name])
+
+
+def test_no_run_learns_on_targets_that_are_for_measuring(tmp_path: Path) -> None:
+    assert {TEST_SEED, VALIDATION_SEED} == EVALUATION_SEEDS.keys()
+    for seed in EVALUATION_SEEDS:
+        with pytest.raises(CdcsrError, match=f"seed {seed} is that of the .* targets"):
+            Train(tmp_path / "run", seed=seed)
+
+
+@pytest.mark.parametrize("content", [None, "[]", '{"mine": 1}'])
+def test_force_takes_no_folder_that_is_not_of_a_run(
+    tmp_path: Path, demonstrations: Path, content: str | None
+) -> None:
+    folder = tmp_path / "project"
+    (folder / "tensorboard").mkdir(parents=True)
+    files = {"summary.json": "mine", "tensorboard/events.mine": "mine"}
+    files |= {} if content is None else {"config.json": content}
+    for name, text in files.items():
+        (folder / name).write_text(text)
+    with pytest.raises(CdcsrError, match=r"not (of )?a training run|should hold a JSON object"):
+        train(config(folder, demonstrations, force=True))
+    assert {name: (folder / name).read_text() for name in files} == files
+    (tmp_path / "file").write_text("mine")
+    with pytest.raises(CdcsrError, match="exists and is not a training run"):
+        train(config(tmp_path / "file", demonstrations, force=True))
+
+
+def test_one_process_at_a_time(tmp_path: Path, demonstrations: Path) -> None:
+    run = config(tmp_path / "run", demonstrations, algorithm="bc")
+    train(run)
+    before = (tmp_path / "run" / "policy.safetensors").read_bytes()
+    with lock(tmp_path / "run" / ".lock"), pytest.raises(Busy, match="held by the live process"):
+        train(dataclasses.replace(run, force=True))
+    assert (tmp_path / "run" / "policy.safetensors").read_bytes() == before
+    assert not (tmp_path / "run" / ".lock").exists()
+
+
+def test_a_state_left_by_a_kill_at_the_very_end_goes(tmp_path: Path, demonstrations: Path) -> None:
+    run = config(tmp_path / "run", demonstrations, algorithm="td3")
+    train(run)
+    (tmp_path / "run" / "state.safetensors").write_bytes(b"left")
+    train(run)
+    assert not (tmp_path / "run" / "state.safetensors").exists()
+
+
+def test_rows_after_the_checkpoint_go_and_those_before_stay_as_they_are(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path = tmp_path / "metrics.csv"
+    head = ",".join(COLUMNS)
+    rows = ["20,80,0.1,,0.25,,,,,,,", "40,160,0.2,,0.5,,,,,,,", "60,240,0.3,,0.75,,,,,,,"]
+    path.write_text("\n".join([head, *rows]) + "\n")
+
+    def killed(*_: object) -> None:
+        raise KeyboardInterrupt
+
+    with monkeypatch.context() as patch:
+        patch.setattr(Path, "replace", killed)
+        with pytest.raises(KeyboardInterrupt):
+            Metrics(tmp_path, after=40)
+    assert [row["update"] for row in read_metrics(path)] == [20, 40, 60]  # nothing is lost
+    Metrics(tmp_path, after=40).close()
+    assert path.read_text().split() == [head, *rows[:2]]
+
+
+@pytest.mark.parametrize("damage", ["update\nx\n", "other\n1\n", "update\n1,2\n", "\udcff"])
+def test_damaged_metrics_are_said_to_be(tmp_path: Path, damage: str) -> None:
+    (tmp_path / "metrics.csv").write_bytes(damage.encode("utf-8", "surrogateescape"))
+    with pytest.raises(CdcsrError, match=r"metrics\.csv is damaged"):
+        Metrics(tmp_path, after=40)
+
+
+@pytest.mark.parametrize("change", ["space", "backend", "centers", "activation"])
+def test_a_card_that_lacks_something_is_damaged(
+    tmp_path: Path, demonstrations: Path, change: str
+) -> None:
+    folder = tmp_path / "run"
+    train(config(folder, demonstrations, algorithm="bc"))
+    card = json.loads((folder / "policy.json").read_text())
+    if change == "centers":
+        card["centers"] = []
+    elif change == "activation":
+        card["network"]["activation"] = "gelu"
+    else:
+        del card[change]
+    (folder / "policy.json").write_text(json.dumps(card))
+    with pytest.raises(CdcsrError, match=rf"damaged.*{change}"):
+        trainer.load_policy(folder)
+
+
+def test_a_replay_that_does_not_fit_into_memory_is_one_line(
+    tmp_path: Path, demonstrations: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def full(*_: object) -> None:
+        raise MemoryError
+
+    monkeypatch.setattr(trainer, "Memory", full)
+    with pytest.raises(CdcsrError, match="capacity 1000000 does not fit"):
+        train(config(tmp_path / "run", demonstrations, algorithm="td3"))
+
+
+def test_clipping_a_dense_rewards_targets_would_do_nothing(tmp_path: Path) -> None:
+    learner = dataclasses.replace(learner_for("drldr", "paper"), clip_targets=True)
+    with pytest.raises(
+        CdcsrError, match="clip_targets must be False for drldr, not True: its reward is dense"
+    ):
+        refuse_unheeded(Train(tmp_path, algorithm="drldr", preset="paper", learner=learner))

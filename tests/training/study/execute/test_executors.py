@@ -1,0 +1,154 @@
+"""What executors say of the work that is left, of jobs that failed, and when a job is tried again."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import pytest
+
+from tests.support.tiny import tiny_job
+from training.run.locks import Busy
+from training.study.execute import ray_executor
+from training.study.execute.jobs import Job
+from training.study.execute.local import Progress, duration, failure
+from training.study.execute.ray_executor import carry_out_on_ray, do_one
+
+
+def _job(algorithm: str, seed: int) -> Job:
+    job = tiny_job(algorithm=algorithm)
+    return replace(job, spec=replace(job.spec, seed=seed))
+
+
+def test_what_is_left_is_guessed_by_algorithm_and_shared_by_the_slots(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    jobs = [*(_job("td3", seed) for seed in range(4)), _job("bc", 0)]
+    progress, said = Progress(jobs, slots=2), []
+    for job, minutes in (
+        (jobs[0], None),
+        (jobs[1], 20.0),
+        (jobs[4], 100.0),
+        (jobs[2], 40.0),
+        (jobs[3], 1.0),
+    ):
+        progress.done(job, "done", minutes)
+        said.append(capsys.readouterr().out.strip().partition(": done")[2])
+    # Nothing is known; two of 20 minutes and one that is like those known; two of 20; one of 30, the mean of two.
+    assert said == [
+        "",
+        "; about 30.0 min left",
+        "; about 20.0 min left",
+        "; about 15.0 min left",
+        "",
+    ]
+
+
+def test_durations_are_hours_from_an_hour_and_a_half() -> None:
+    assert [duration(x) for x in (0.25, 89.9, 90, 150)] == ["0.2 min", "89.9 min", "1.5 h", "2.5 h"]
+
+
+def test_a_failure_is_the_end_of_the_log(tmp_path: Path) -> None:
+    log = tmp_path / "job.log"
+    log.write_text("begun\nError: no disk \n\n")
+    assert failure(-9, log) == f"killed by signal 9 ({log}): Error: no disk"
+    assert failure(2, log) == f"exit code 2 ({log}): Error: no disk"
+    log.write_text("\n")
+    assert failure(1, log).endswith(": nothing in the log")
+
+
+def _codes(monkeypatch: pytest.MonkeyPatch, codes: list[int]) -> list[list[str]]:
+    """Processes that end at once, with these exit codes one after the other; and the commands they were."""
+    started: list[list[str]] = []
+
+    def start(command: list[str], **_: Any) -> SimpleNamespace:
+        started.append(command)
+        return SimpleNamespace(wait=lambda: codes[len(started) - 1])
+
+    monkeypatch.setattr(ray_executor.subprocess, "Popen", start)
+    monkeypatch.setattr(ray_executor, "RETRY_BUSY", 0.0)
+    return started
+
+
+@pytest.mark.parametrize("codes", [[0], [1], [-9], [Busy.exit_code, Busy.exit_code, 0]])
+def test_only_a_job_that_another_is_at_is_tried_again(
+    codes: list[int], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    started, job = _codes(monkeypatch, codes), tiny_job()
+    code, minutes = do_one(job.to_json(), str(tmp_path / "runs"), str(tmp_path / "results"))
+    assert (code, len(started)) == (codes[-1], len(codes))
+    assert 0 <= minutes < 1
+    assert Job.from_json(started[0][started[0].index("--job") + 1]) == job
+
+
+def test_a_lock_that_does_not_become_free_is_not_waited_for_for_ever(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    started = _codes(monkeypatch, [Busy.exit_code] * 2)
+    monkeypatch.setattr(ray_executor, "STALE_AFTER", -1.0)
+    assert do_one(tiny_job().to_json(), str(tmp_path), str(tmp_path))[0] == Busy.exit_code
+    assert len(started) == 1
+
+
+class LostError(Exception):
+    """As Ray raises where a node is lost too often."""
+
+
+class Cluster:
+    """In place of Ray: tasks are done when they are waited for, last first, and end as is written down."""
+
+    exceptions = SimpleNamespace(RayError=LostError)
+
+    def __init__(self, ends: dict[str, Any]) -> None:
+        self.ends, self.down = ends, False
+
+    def init(self, **_: Any) -> None:
+        pass
+
+    def cluster_resources(self) -> dict[str, float]:
+        return {"CPU": 2.0}
+
+    def nodes(self) -> list[int]:
+        return [0]
+
+    def remote(self, **_: Any) -> Any:
+        return lambda _: SimpleNamespace(remote=lambda text, *_: Job.from_json(text).name)
+
+    def wait(self, waiting: list[str]) -> tuple[list[str], list[str]]:
+        return waiting[-1:], waiting[:-1]
+
+    def get(self, name: str) -> tuple[int, float]:
+        end = self.ends[name]
+        if isinstance(end, Exception):
+            raise end
+        return end
+
+    def shutdown(self) -> None:
+        self.down = True
+
+
+def test_a_job_on_a_cluster_is_finished_if_its_results_are_there(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    before, whole, empty, wrong, lost = jobs = [_job("td3", seed) for seed in range(5)]
+    ends = {
+        whole.name: (0, 3.0),
+        empty.name: (0, 1.0),
+        wrong.name: (2, 1.0),
+        lost.name: LostError("gone\nfor good"),
+    }
+    cluster, there = Cluster(ends), {before.name}
+    monkeypatch.setattr(ray_executor, "_import_ray", lambda: cluster)
+    monkeypatch.setattr(Job, "is_done", lambda job, _: job.name in there)
+    monkeypatch.setattr(cluster, "init", lambda **_: there.update((whole.name, wrong.name)))
+    for job in jobs:
+        (tmp_path / f"{job.name}.log").write_text("the end")
+    outcome = carry_out_on_ray(jobs, tmp_path, tmp_path, None)
+    assert outcome.skipped == [before.name]
+    assert outcome.finished == {whole.name: 3.0}
+    assert outcome.failed.keys() == {empty.name, wrong.name, lost.name}
+    assert outcome.failed[lost.name] == "gone"
+    assert "exit code 2" in outcome.failed[wrong.name]
+    assert cluster.down

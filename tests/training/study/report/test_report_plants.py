@@ -1,0 +1,117 @@
+"""What the report says of two engines and of plants that are not as described."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from tests.support.small_study import find, nominal, write_csv, write_run
+from training.report import report
+from training.study.report.engine_differences import differences
+from training.study.report.plant_sweeps import sweeps
+from training.study.report.records import load_study
+from training.study.report.tables import halvings, transfer
+
+
+def test_transfer_counts_paired_disagreements(study: Path) -> None:
+    row = find(transfer(load_study(study)), space="Anchor", algorithm="BATD3")
+    # 1111 and 1110; 1110 and 1110; 1000 and 0001.
+    assert row["only MuJoCo / only PyBullet"] == "2 / 1 of 12"
+    assert row["κ in PyBullet"].value == pytest.approx((0.75 + 0.75 + 0.25) / 3)
+
+
+def test_where_engines_differ_is_counted_by_what_is_wrong_with_the_plant(tmp_path: Path) -> None:
+    both = [nominal("1101"), nominal("1011", backend="pybullet"), nominal("1111", "floating")]
+    plants = [
+        (engine, "anchor", axis, level, outcomes)
+        for axis, level, outcomes in (
+            ("link_mass", 1, "10"),
+            ("link_mass", 2, "11"),
+            ("engine_defaults", 1, "10"),
+        )
+        for engine, outcomes in (("mujoco", outcomes), ("pybullet", "01"))
+    ]
+    write_run(
+        tmp_path,
+        "one",
+        {"nominal": both, "plants": [*plants, ("mujoco", "anchor", "link_mass", 3, "11")]},
+    )
+    found = {row[0]: row[1:] for row in differences(load_study(tmp_path)).rows}
+    assert found["as described"] == [
+        1,
+        4,
+        2,
+        1,
+        1,
+        "`one`, anchor, 1, 2",
+    ]  # floating was not run in PyBullet
+    assert found["link mass [factor]"] == [
+        1,
+        2,
+        1,
+        1,
+        0,
+        "-",
+    ]  # at 2: at 1 it is as described, at 3 in one engine
+    assert found["engine defaults"] == [1, 2, 2, 1, 1, "-"]
+    assert (
+        "cable softness [factor]" not in found
+    )  # PyBullet's cables have none: the plants would differ
+
+
+def test_what_means_nothing_to_an_engine_is_no_sweep_of_it(tmp_path: Path) -> None:
+    plants = [(engine, "anchor", "cable_softness", 2, "11") for engine in ("mujoco", "pybullet")]
+    write_run(
+        tmp_path,
+        "one",
+        {"nominal": [nominal("11"), nominal("11", backend="pybullet")], "plants": plants},
+    )
+    runs = load_study(tmp_path)
+    assert [
+        len(sweeps(runs, "cable_softness", engine, "anchor")) for engine in ("mujoco", "pybullet")
+    ] == [1, 0]
+
+
+def test_halving_levels(study: Path) -> None:
+    levels = [
+        ("mujoco", "anchor", "link_mass", level, outcomes)
+        for level, outcomes in ((2, "1111"), (4, "0000"))
+    ]
+    run = {"nominal": [nominal("1111")], "plants": levels}
+    write_run(study, "plants", run, algorithm="bc")
+    runs = load_study(study)
+    (sweep,) = sweeps(runs, "link_mass", "mujoco", "anchor").values()
+    assert sweep.levels.tolist() == [1, 2, 4]  # 1 is from the nominal evaluation
+    row = find(halvings(runs), plant="link mass [factor]")
+    # Midway between 2 and 4, which are factors, is their geometric mean.
+    assert (row["halves above"], row["halves below"], row["swept"]) == (
+        "2.83 [2.83, 2.83]",
+        "-",
+        "1 to 4",
+    )
+
+
+def test_figures_of_following_and_of_plants(study: Path, tmp_path: Path) -> None:
+    plants = [("mujoco", "anchor", "servo_gain", level, "1100") for level in (0.5, 1, 2)]
+    folder = write_run(
+        study, "bc", {"nominal": [nominal("1111")], "plants": plants}, algorithm="bc"
+    )
+    head = [
+        "backend",
+        "motion",
+        "episode",
+        "step",
+        "tip_error",
+        "base_position_error",
+        "base_attitude_error",
+    ]
+    write_csv(
+        folder / "follow.csv",
+        head,
+        [["mujoco", "down", 0, step, 0.01, 0.001, 0.02] for step in (25, 50)],
+    )
+    report(results=study, out=tmp_path / "out")
+    assert {"fig6-anchor-mujoco.png", "plants-anchor-mujoco.png"} <= {
+        file.name for file in (tmp_path / "out").iterdir()
+    }

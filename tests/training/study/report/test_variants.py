@@ -1,0 +1,240 @@
+"""What distinguishes each algorithm, against a hand computation on tiny networks."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+from collections.abc import Callable
+from pathlib import Path
+from typing import cast, get_args
+
+import numpy as np
+import pytest
+import torch
+from safetensors import safe_open
+
+from cdcsr.robot.description import Robot, load_robot
+from controllers.demonstrations import load
+from tests.support.tiny import FRAME_SKIP
+from training.algorithms.batd3 import BATD3, WithoutAssistance
+from training.algorithms.bc import BehaviourCloning, imitate
+from training.algorithms.clasp import CLASP
+from training.algorithms.drldr import DRLDR
+from training.algorithms.rbl import RBL
+from training.algorithms.registry import ALGORITHMS
+from training.algorithms.td3 import TD3
+from training.config.run_config import PRESETS, AlgorithmName, Learner, Train, learner_for
+from training.experience.replay import Batch
+from training.run.trainer import train
+
+Make = Callable[..., TD3]
+
+
+def _values(algorithm: TD3, encoded: torch.Tensor, action: torch.Tensor) -> torch.Tensor:
+    """Of all critics, shape (E, B)."""
+    return algorithm.critics(encoded, action)
+
+
+def test_every_algorithm_on_the_command_line_exists_once() -> None:
+    assert set(get_args(AlgorithmName)) == {"bc", *ALGORITHMS}
+
+
+def test_rbl_imitates_what_was_shown_as_often_as_the_clone_is_better(
+    make: Make, small_batch: Batch
+) -> None:
+    rbl = make(RBL, critics=2, target_critics=2)
+    shown = small_batch.next_observation[:1].expand(2, -1)  # whichever is drawn
+    wanted = torch.tensor([[0.3, -0.4, 0.1, 0.9]]).expand(2, -1)
+    rbl.show(shown, rbl.actor.to_command(wanted))
+    encoded = rbl.actor.encoder(small_batch.observation)
+    with torch.no_grad():
+        action = rbl.actor(encoded)
+        own, clone = (_values(rbl, encoded, a).mean(0) for a in (action, small_batch.bc_action))
+        one = int((clone > own).nonzero()[0])
+        small_batch = small_batch._replace(bc_action=small_batch.bc_action.clone())
+        small_batch.bc_action[one] = action[one]  # there the clone is no better now
+        share = (clone > own).sum().item() / len(own) - 0.25
+        assert share not in (0, 0.5, 1)  # or the test would not see the weights
+        imitation = ((rbl.actor(rbl.actor.encoder(shown)) - wanted) ** 2).mean().item()
+        expected = share * imitation - (1 - share) * own.mean().item()
+        assert rbl.actor_loss(encoded, small_batch).item() == pytest.approx(expected, rel=1e-5)
+
+
+def test_without_assistance_the_clone_does_not_matter(make: Make, small_batch: Batch) -> None:
+    other = small_batch._replace(next_bc_action=-small_batch.next_bc_action)
+    with torch.no_grad():
+        values = []
+        for batch in (small_batch, other):
+            algorithm = make(WithoutAssistance)
+            values.append(
+                algorithm.next_value(algorithm.actor.encoder(batch.next_observation), batch)
+            )
+        td3 = make(TD3)
+        expected = td3.next_value(td3.actor.encoder(small_batch.next_observation), small_batch)
+    assert torch.equal(values[0], values[1])
+    torch.testing.assert_close(values[0], expected)
+
+
+@pytest.mark.parametrize("choice", ["hard", "scaled"])
+def test_other_choices_between_clone_and_policy(
+    make: Make, small_batch: Batch, choice: str
+) -> None:
+    batd3 = make(BATD3, critics=2, target_critics=2, target_choice=choice, softmax_temperature=2.0)
+    encoded = batd3.actor.encoder(small_batch.next_observation)
+    with torch.no_grad():
+        clone = batd3.target_value(encoded, small_batch.next_bc_action)
+        policy = batd3.target_value(encoded, batd3.target_actor(encoded))
+        drawn = torch.stack([batd3.next_value(encoded, small_batch) for _ in range(4000)])
+    share = torch.isclose(drawn, clone).float().mean(0)
+    if choice == "hard":
+        torch.testing.assert_close(drawn, torch.maximum(clone, policy).expand_as(drawn))
+        return
+    gap = (clone - policy).numpy()
+    expected = 1 / (1 + np.exp(-2.0 * gap / gap.std(ddof=1)))
+    np.testing.assert_allclose(share.numpy(), expected, atol=0.04)
+
+
+def test_a_dense_reward_is_not_clipped(make: Make, small_batch: Batch) -> None:
+    batch = small_batch._replace(reward=torch.full((4,), -2.0), discount=torch.zeros(4))
+    for kind, target in ((DRLDR, -2.0), (TD3, 0.0)):
+        algorithm = make(kind, clip_targets=True)
+        with torch.no_grad():
+            values = _values(algorithm, algorithm.actor.encoder(batch.observation), batch.action)
+        loss = algorithm.update(batch)["critic_loss"].item()
+        assert loss == pytest.approx(((values - target) ** 2).mean().item(), rel=1e-5)
+
+
+@pytest.mark.parametrize(("updates", "weight"), [(0, 2.0), (250, 1.2), (500, 0.4), (900, 0.4)])
+def test_clasp_lets_go_of_the_clone_linearly(
+    make: Make, small_batch: Batch, updates: int, weight: float
+) -> None:
+    clasp = make(
+        CLASP,
+        critics=1,
+        target_critics=1,
+        clone_anchor=2.0,
+        anchor_updates=500,
+        anchor_floor=0.4,
+        scaled_values=True,
+    )
+    clasp.updates = updates
+    encoded = clasp.actor.encoder(small_batch.observation)
+    with torch.no_grad():
+        action = clasp.actor(encoded)
+        value = _values(clasp, encoded, action)[0]
+        distance = ((action - small_batch.bc_action) ** 2).mean().item()
+        expected = -value.mean().item() / value.abs().mean().item() + weight * distance
+        assert clasp.actor_loss(encoded, small_batch).item() == pytest.approx(expected, rel=1e-5)
+
+
+def test_batd3_may_be_held_to_the_clone_too(make: Make, small_batch: Batch) -> None:
+    batd3 = make(BATD3, critics=2, target_critics=2, clone_anchor=2.0, anchor_updates=500)
+    batd3.updates = 125
+    encoded = batd3.actor.encoder(small_batch.observation)
+    with torch.no_grad():
+        action = batd3.actor(encoded)
+        distance = ((action - small_batch.bc_action) ** 2).mean().item()
+        expected = -_values(batd3, encoded, action).mean().item() + 1.5 * distance
+        assert batd3.actor_loss(encoded, small_batch).item() == pytest.approx(expected, rel=1e-5)
+
+
+@pytest.mark.parametrize(("kind", "critics"), [(CLASP, 1), (BATD3, 2)])
+def test_what_went_better_than_expected_is_imitated_by_how_much(
+    make: Make, small_batch: Batch, kind: type[TD3], critics: int
+) -> None:
+    learner = make(kind, critics=critics, target_critics=critics, self_imitation=3.0)
+    encoded = learner.actor.encoder(small_batch.observation)
+    with torch.no_grad():
+        action = learner.actor(encoded)
+        value = _values(learner, encoded, action).mean(0)
+        batch = small_batch._replace(outcome=value + torch.tensor([0.5, -0.5, 0.25, 0.0]))
+        distance = ((action - batch.action) ** 2).mean(1)
+        expected = -value.mean().item() + 3.0 * (0.5 * distance[0] + 0.25 * distance[2]).item() / 4
+        assert learner.actor_loss(encoded, batch).item() == pytest.approx(expected, rel=1e-5)
+
+
+def test_the_critic_that_judges_clasps_actor_is_drawn_anew(make: Make, small_batch: Batch) -> None:
+    clasp = make(CLASP, critics=3, target_critics=2)
+    encoded = clasp.actor.encoder(small_batch.observation)
+    with torch.no_grad():
+        losses = {round(clasp.actor_loss(encoded, small_batch).item(), 6) for _ in range(60)}
+        values = _values(clasp, encoded, clasp.actor(encoded)).mean(1)
+    assert losses == {round(-value, 6) for value in values.tolist()}
+
+
+def test_imitation_is_the_same_for_clone_and_actor(small_robot: Robot) -> None:
+    learner = Learner(hidden=(16,), bc_updates=30)
+    generator = torch.Generator().manual_seed(1)
+    observations = torch.randn(50, 23 + small_robot.num_cables, generator=generator)
+    commands = -5 * torch.rand(50, small_robot.num_cables, generator=generator)
+    torch.manual_seed(0)
+    clone = BehaviourCloning(small_robot, learner, torch.Generator().manual_seed(2))
+    before = ((clone.actor.command(observations) - commands) ** 2).mean()
+    torch.manual_seed(0)
+    other = BehaviourCloning(small_robot, learner, torch.Generator().manual_seed(2)).actor
+    clone.fit(observations, commands, lambda *_: None)
+    imitate(
+        other, learner, observations, commands, torch.Generator().manual_seed(2), lambda *_: None
+    )
+    torch.testing.assert_close(clone.actor.command(observations), other.command(observations))
+    assert ((other.command(observations) - commands) ** 2).mean() < before
+
+
+@pytest.mark.parametrize("algorithm", list(ALGORITHMS))
+def test_what_each_begins_with(tmp_path: Path, demonstrations: Path, algorithm: str) -> None:
+    """Rows of the replay buffers after one update, before any episode has ended."""
+    small = dataclasses.replace(
+        learner_for(algorithm, "tuned"),
+        hidden=(16, 16),
+        batch_size=4,
+        num_envs=2,
+        updates=2,
+        bc_updates=400,
+        bc_rollouts=6,
+    )
+    config = Train(
+        tmp_path / "run",
+        cast(AlgorithmName, algorithm),
+        space="anchor",
+        frame_skip=FRAME_SKIP,
+        demonstrations=demonstrations,
+        evaluate_every=0,
+        evaluate_episodes=1,
+        stop_after=0.0,
+        learner=small,
+    )
+    train(config)
+    with safe_open(tmp_path / "run" / "state.safetensors", framework="pt") as file:
+        sizes = {
+            name: size for name, (_, size) in json.loads(file.metadata()["run"])["replays"].items()
+        }
+    shown = sum(
+        episode.length + 1
+        for episode in load(demonstrations, load_robot("paper").fingerprint, FRAME_SKIP)
+    )
+    if algorithm in ("td3", "her", "drldr", "batd3-no-prefill"):
+        assert sizes == {"replay": 0}
+    elif algorithm in ("td3wd", "rbl"):
+        assert sizes == {"replay": shown}
+    elif algorithm == "rlpd":
+        assert sizes == {"replay": 0, "kept": shown}
+    else:  # and the successes of a clone that has hardly learned
+        assert sizes["replay"] >= shown
+        assert (tmp_path / "run" / "clone" / "policy.json").exists()
+    assert (tmp_path / "run" / "clone").exists() == ALGORITHMS[algorithm].uses_clone
+
+
+def test_what_rlpd_and_her_have_of_their_own_and_the_paper_preset() -> None:
+    rlpd = learner_for("rlpd", "paper")
+    assert (rlpd.kept_share, rlpd.layer_norm, rlpd.updates_per_step) == (0.5, True, 20)
+    tuned = learner_for("rlpd", "tuned")
+    assert (tuned.kept_share, tuned.layer_norm) == (0.5, True)
+    assert (
+        tuned.updates_per_step == learner_for("td3", "tuned").updates_per_step
+    )  # or it had less experience
+    for preset in PRESETS:  # Andrychowicz et al. 2017: four targets in hindsight
+        assert learner_for("her", preset) == dataclasses.replace(
+            learner_for("td3", preset), hindsight=4
+        )
+    assert learner_for("batd3", "paper") == PRESETS["paper"]
+    assert learner_for("batd3-no-ensemble", "paper").critics == 2

@@ -1,0 +1,66 @@
+"""`cdcsr parity`: compare engines."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+
+def parity(
+    robot: str,
+    /,
+    *,
+    reference: str = "mujoco",
+    backend: str = "all",
+    episodes: int = 4,
+    seed: int = 0,
+    json: Path | None = None,
+    plot: Path | None = None,
+) -> None:
+    """Measure how far apart the engines are on a robot: one state, one step, open loop.
+
+    Each level has tolerances. If one is broken, everything is still measured and written; then the first check
+    that failed is named and the exit code is 1.
+
+    Args:
+        robot: a shipped robot, or a path ending in .toml.
+        reference: the engine that the others are compared with.
+        backend: the engine to compare with it, or all that are installed.
+        episodes: how many episodes of the demonstrator, and as many of random commands.
+        seed: of states, targets and random commands.
+        json: also write every figure and check to this file.
+        plot: also draw the figures into this folder.
+    """
+    from backends.parity.report import measure, show
+    from backends.parity.trajectories import random_commands
+    from cdcsr.errors import CdcsrError, CheckFailed
+    from cdcsr.files import write_json
+    from cdcsr.robot.description import load_robot
+    from cdcsr.simulation.engines import backend_names, load_backend
+    from training.measure.trajectories import demonstrator_commands
+
+    if episodes < 1:
+        raise CdcsrError(f"episodes must be at least 1, not {episodes}.")
+    if seed < 0:
+        raise CdcsrError(f"seed must not be negative, found {seed}.")
+    description = load_robot(robot)
+    engines = {reference: load_backend(reference)}
+    others = backend_names() if backend == "all" else [backend]
+    engines |= {name: load_backend(name) for name in others if name != reference}
+    if len(engines) < 2:
+        raise CdcsrError(
+            f"There is no engine to compare {reference!r} with; installed: {', '.join(backend_names())}."
+        )
+    runs = [
+        demonstrator_commands(description, reference, episodes, seed),
+        random_commands(description, episodes, seed),
+    ]
+    result = measure(description, engines, runs, seed, progress=True)
+    print(show(result))
+    if json is not None:
+        write_json(json, result.as_dict())
+    if plot is not None:
+        from backends.parity.plots import draw
+
+        print("figures: " + ", ".join(str(path) for path in draw(result, plot)))
+    if result.failed:
+        raise CheckFailed(f"{len(result.failed)} parity checks failed, first: {result.failed[0]}.")

@@ -1,0 +1,64 @@
+"""`cdcsr workspace`: map a robot's workspace."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+
+def workspace(
+    robot: str,
+    /,
+    *,
+    out: Path,
+    backend: str = "mujoco",
+    spacing: float = 0.05,
+    frame_skip: int = 5,
+    plot: Path | None = None,
+    json: Path | None = None,
+) -> None:
+    """Map what the scripted Jacobian controller reaches in an episode, all around the arm.
+
+    The map is an operation space: give its file as --space to other commands.
+
+    Args:
+        robot: a shipped robot's name, or a path ending in .toml.
+        out: the map, an .npz file.
+        backend: the engine.
+        spacing: of the grid of targets that are tried, in m.
+        frame_skip: simulation steps each command is held for; fewer take longer.
+        plot: also draw the map into this PNG file.
+        json: also write the summary to this file.
+    """
+    from cdcsr.errors import CdcsrError
+    from cdcsr.files import write_json
+    from cdcsr.robot.description import load_robot
+    from controllers.workspace import compute_workspace, draw_workspace
+
+    if out.suffix != ".npz":
+        raise CdcsrError(f"A map is an .npz file, not {out.name!r}.")
+    if plot is not None and plot.suffix != ".png":
+        raise CdcsrError(f"The picture of a map is a .png file, not {plot.name!r}.")
+    if not spacing > 0:
+        raise CdcsrError(f"spacing must be positive, not {spacing:g}.")
+    description = load_robot(robot)
+    counts = {"tried": 0, "reached": 0}
+
+    def progress(tried: int, reached: int) -> None:
+        counts.update(tried=tried, reached=reached)
+        print(f"\r{tried} targets tried, {reached} reached", end="", flush=True)
+
+    found = compute_workspace(description, backend, spacing, frame_skip, progress)
+    print()
+    found.save(out)
+    print(f"{len(found.cells)} cells of edge {spacing:g} m around {description.name} -> {out}")
+    if plot is not None:
+        draw_workspace(found, description, plot)
+    if json is not None:
+        summary = {
+            "out": str(out),
+            "robot": description.name,
+            "backend": backend,
+            "spacing": spacing,
+            **counts,
+        }
+        write_json(json, {**summary, "cells": len(found.cells)})

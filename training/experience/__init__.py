@@ -1,0 +1,1 @@
+"""Collected episodes, and the buffers that batches are drawn from."""

@@ -1,0 +1,1 @@
+"""Success of controllers, on plants and in engines, and the statistics of it."""

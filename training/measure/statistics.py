@@ -1,0 +1,206 @@
+"""Statistics of the study: what a handful of seeds, a hundred episodes each, allow to be said."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+Statistic = Callable[[NDArray[Any]], Array]
+"""From scores of shape (..., runs, tasks) to one number each, shape (...)."""
+
+REPETITIONS = 50_000
+"""Of a bootstrap; as rliable has it."""
+_QUANTILES = (0.025, 0.975)
+
+
+@dataclass(frozen=True)
+class Estimate:
+    """A number and its 95 % interval."""
+
+    value: float
+    low: float
+    high: float
+    over: Literal["seeds", "episodes"] = "seeds"
+    """What the interval speaks about: other seeds (bootstrap), or other episodes of the same policy (Wilson)."""
+
+
+def wilson(successes: int, total: int) -> tuple[float, float]:
+    """The 95 % interval of a proportion (Wilson 1927): of none its lower end is 0, of all its upper end is 1.
+
+    Args:
+        successes: how many of `total` succeeded.
+        total: at least one.
+    """
+    from scipy.stats import (
+        binomtest,  # takes half a second, which commands that need none should not
+    )
+
+    interval = binomtest(successes, total).proportion_ci(0.95, method="wilson")
+    return float(interval.low), float(interval.high)
+
+
+def mean(scores: NDArray[Any]) -> Array:
+    """The mean over runs and tasks."""
+    return np.asarray(scores, dtype=float).mean(axis=(-2, -1))
+
+
+def iqm(scores: NDArray[Any]) -> Array:
+    """The interquartile mean over runs and tasks together: of n sorted scores, n // 4 are cut at either end.
+
+    Less at the mercy of one odd seed than the mean, and less wasteful than the median
+    (Agarwal et al. 2021, "Deep reinforcement learning at the edge of the statistical precipice").
+    """
+    scores = np.asarray(scores, dtype=float)
+    flat = np.sort(scores.reshape(*scores.shape[:-2], -1), axis=-1)
+    cut = flat.shape[-1] // 4
+    return flat[..., cut : flat.shape[-1] - cut].mean(axis=-1)
+
+
+def bootstrap(
+    scores: NDArray[Any], statistic: Statistic, repetitions: int = REPETITIONS, seed: int = 0
+) -> tuple[float, float]:
+    """The 95 % percentile interval of a statistic, by stratified bootstrap: runs are redrawn in each task by itself.
+
+    Args:
+        scores: shape (runs, tasks).
+        statistic: :func:`mean`, :func:`iqm`, or alike.
+        repetitions: how many samples are redrawn.
+        seed: of what is redrawn.
+    """
+    runs, tasks = scores.shape
+    chosen = np.random.default_rng(seed).integers(runs, size=(repetitions, runs, tasks))
+    low, high = np.quantile(statistic(scores[chosen, np.arange(tasks)]), _QUANTILES)
+    return float(low), float(high)
+
+
+def over_seeds(scores: NDArray[Any], statistic: Statistic = mean) -> Estimate:
+    """A statistic with its bootstrap interval; scores have shape (runs, tasks)."""
+    return Estimate(float(statistic(scores)), *bootstrap(scores, statistic))
+
+
+def rate(success: Sequence[NDArray[np.bool_]]) -> Estimate:
+    """Success of one algorithm in one setting: the mean over its seeds.
+
+    With two seeds or more the interval is the bootstrap's over seeds; with one it can only be Wilson's over episodes.
+
+    Args:
+        success: of each seed, of each of its episodes.
+    """
+    if len(success) == 1:
+        return pooled(success)
+    return over_seeds(np.array([[one.mean()] for one in success]))
+
+
+def pooled(success: Sequence[NDArray[np.bool_]]) -> Estimate:
+    """Success over the episodes of all seeds together, with Wilson's interval: it speaks of these policies only."""
+    everything = np.concatenate(success)
+    low, high = wilson(int(everything.sum()), len(everything))
+    return Estimate(float(everything.mean()), low, high, "episodes")
+
+
+def band(curves: Array, repetitions: int = 2_000, seed: int = 0) -> tuple[Array, Array, Array]:
+    """The mean of learning curves and, at each point, its 95 % bootstrap interval over seeds.
+
+    Args:
+        curves: shape (seeds, points).
+        repetitions: how many samples are redrawn.
+        seed: of what is redrawn.
+
+    Returns:
+        Mean, low and high, each of shape (points,); for one curve all three are that curve.
+    """
+    seeds = len(curves)
+    weights = (
+        np.random.default_rng(seed).multinomial(seeds, np.full(seeds, 1 / seeds), size=repetitions)
+        / seeds
+    )
+    low, high = np.quantile(weights @ curves, _QUANTILES, axis=0)
+    return curves.mean(axis=0), low, high
+
+
+def disagreement(first: NDArray[np.bool_], second: NDArray[np.bool_]) -> tuple[int, int]:
+    """Episodes on the same targets that succeed only in the first engine, and only in the second."""
+    return int((first & ~second).sum()), int((second & ~first).sum())
+
+
+@dataclass(frozen=True)
+class Sweep:
+    """One policy on plants along one axis."""
+
+    levels: Array
+    """Ascending, shape (L,); the level that was trained on is among them."""
+    outcomes: NDArray[np.bool_]
+    """Successes, shape (episodes, L); an episode has the same target at all levels."""
+
+
+@dataclass(frozen=True)
+class Crossing:
+    """Where success falls to half of what it is for the plant that was trained on. Infinite: not within the sweep."""
+
+    level: float
+    low: float
+    high: float
+
+
+def halving(
+    sweeps: Sequence[Sweep],
+    nominal: float,
+    side: Literal["above", "below"],
+    repetitions: int = 2_000,
+    seed: int = 0,
+) -> Crossing | None:
+    """The level nearest to the nominal one, on one side of it, at which success halves: the mean over seeds.
+
+    Success is interpolated linearly between levels. Seeds may have been swept over different levels. The interval
+    redraws seeds, and for each its episodes, the same ones at all levels; what half is redraws with them.
+
+    Args:
+        sweeps: of each seed.
+        nominal: the level that was trained on.
+        side: where to look.
+        repetitions: how many samples are redrawn.
+        seed: of what is redrawn.
+
+    Returns:
+        The level, infinite with the side's sign if success does not halve within the sweep of every seed; or None:
+        some seed was not swept on that side, or never succeeds at the nominal level.
+    """
+    rng = np.random.default_rng(seed)
+    never = np.inf if side == "above" else -np.inf
+    found, redrawn = [], []
+    for sweep in sweeps:
+        chosen = np.flatnonzero(
+            sweep.levels >= nominal if side == "above" else sweep.levels <= nominal
+        )
+        chosen = chosen if side == "above" else chosen[::-1]
+        levels, success = sweep.levels[chosen], sweep.outcomes[:, chosen].astype(float)
+        if len(levels) < 2 or levels[0] != nominal or not success[:, 0].any():
+            return None
+        episodes = len(success)
+        weights = (
+            rng.multinomial(episodes, np.full(episodes, 1 / episodes), size=repetitions) / episodes
+        )
+        found.append(_first_half(levels, success.mean(axis=0)[None], never)[0])
+        redrawn.append(_first_half(levels, weights @ success, never))
+    seeds = rng.integers(len(sweeps), size=(repetitions, len(sweeps)))
+    means = np.sort(np.array(redrawn).T[np.arange(repetitions)[:, None], seeds].mean(axis=1))
+    low, high = (float(means[round(q * (repetitions - 1))]) for q in _QUANTILES)
+    return Crossing(float(np.mean(found)), low, high)
+
+
+def _first_half(levels: Array, rates: Array, never: float) -> Array:
+    """For each row of `rates` (B, L), the first level at which it is down to half its first value."""
+    half = rates[:, :1] / 2
+    down = rates <= half
+    down[:, 0] = False
+    last = np.maximum(down.argmax(axis=1), 1)
+    rows = np.arange(len(rates))
+    before, after = rates[rows, last - 1], rates[rows, last]
+    fall = np.where(before > after, before - after, 1.0)
+    found = levels[last - 1] + (before - half[:, 0]) / fall * (levels[last] - levels[last - 1])
+    return np.where(down.any(axis=1) & (rates[:, 0] > 0), found, never)

@@ -1,0 +1,172 @@
+"""What surrounds the matrix products of a layer, compiled: one pass over the activations instead of several.
+
+All work in place on contiguous arrays of one type, rows of a batch by units of a layer. NaN stays NaN. Zeros are
+taken from an array to have its type: a literal would turn the arithmetic of a loop into double precision.
+"""
+
+from __future__ import annotations
+
+import numba
+import numpy as np
+from numpy.typing import NDArray
+
+_FAST = {
+    "reassoc",
+    "contract",
+    "arcp",
+    "nsz",
+}  # sums may be reordered; NaN and infinity keep their meaning
+_EPS = 1e-5  # as in nn.LayerNorm
+
+Floats = NDArray[np.floating]
+
+
+@numba.njit(cache=True, fastmath=_FAST)
+def rectify(x: Floats, bias: Floats) -> None:
+    """x becomes relu(x + bias)."""
+    for i in range(x.shape[0]):
+        row = x[i]
+        for j in range(x.shape[1]):
+            value = row[j] + bias[j]
+            row[j] = value
+            if value <= 0:
+                row[j] = 0
+
+
+@numba.njit(cache=True, fastmath=_FAST)
+def back_rectify(delta: Floats, after: Floats, bias_gradient: Floats) -> None:
+    """Take a gradient through `rectify`.
+
+    Args:
+        delta: with respect to what came out; becomes that with respect to what went in.
+        after: what came out.
+        bias_gradient: is overwritten.
+    """
+    bias_gradient[:] = 0
+    zero = np.zeros(1, delta.dtype)[0]
+    for i in range(delta.shape[0]):
+        row, out = delta[i], after[i]
+        for j in range(delta.shape[1]):
+            row[j] = zero if out[j] <= 0 else row[j]
+        for j in range(delta.shape[1]):
+            bias_gradient[j] += row[j]
+
+
+@numba.njit(cache=True, fastmath=_FAST)
+def normalize(
+    x: Floats, bias: Floats, gain: Floats, shift: Floats, inverse: Floats, after: Floats
+) -> None:
+    """`after` becomes relu(LayerNorm(x + bias)); x becomes what LayerNorm has before gain and shift.
+
+    Args:
+        x: shape (B, m).
+        bias, gain, shift: shape (m,).
+        inverse: becomes the inverse standard deviation of each row, shape (B,).
+        after: shape (B, m).
+    """
+    width, zero, share = x.shape[1], np.zeros(1, x.dtype)[0], np.full(1, 1 / x.shape[1], x.dtype)[0]
+    for i in range(x.shape[0]):
+        row, out = x[i], after[i]
+        total = zero
+        for j in range(width):
+            row[j] += bias[j]
+            total += row[j]
+        mean, total = total * share, zero
+        for j in range(width):
+            row[j] -= mean
+            total += row[j] * row[j]
+        inverse[i] = 1 / np.sqrt(total * share + _EPS)
+        scale = inverse[i]
+        for j in range(width):
+            row[j] *= scale
+            value = row[j] * gain[j] + shift[j]
+            out[j] = zero if value <= 0 else value
+
+
+@numba.njit(cache=True, fastmath=_FAST)
+def back_normalize(
+    delta: Floats,
+    normal: Floats,
+    after: Floats,
+    inverse: Floats,
+    gain: Floats,
+    bias_gradient: Floats,
+    gain_gradient: Floats,
+    shift_gradient: Floats,
+) -> None:
+    """Take a gradient through `normalize`.
+
+    Args:
+        delta: with respect to what came out; becomes that with respect to what went in, shape (B, m).
+        normal, after, inverse: what `normalize` left in `x`, `after` and `inverse`.
+        gain: shape (m,).
+        bias_gradient, gain_gradient, shift_gradient: are overwritten.
+    """
+    bias_gradient[:], gain_gradient[:], shift_gradient[:] = 0, 0, 0
+    width, zero, share = (
+        delta.shape[1],
+        np.zeros(1, delta.dtype)[0],
+        np.full(1, 1 / delta.shape[1], delta.dtype)[0],
+    )
+    for i in range(delta.shape[0]):
+        row, unit, out, scale = delta[i], normal[i], after[i], inverse[i]
+        for j in range(width):
+            row[j] = zero if out[j] <= 0 else row[j]
+        for j in range(width):
+            shift_gradient[j] += row[j]
+        for j in range(width):
+            gain_gradient[j] += row[j] * unit[j]
+        total, along = zero, zero
+        for j in range(width):
+            row[j] *= gain[j]
+            total += row[j]
+            along += row[j] * unit[j]
+        mean, slope = total * share, along * share
+        for j in range(width):
+            row[j] = (row[j] - mean - unit[j] * slope) * scale
+        for j in range(width):
+            bias_gradient[j] += row[j]
+
+
+@numba.njit(cache=True, fastmath=_FAST)
+def head(below: Floats, weight: Floats, bias: Floats, value: Floats) -> None:
+    """`value` becomes below @ weight + bias: the one output of a network.
+
+    Args:
+        below: shape (B, n).
+        weight, bias: shapes (n,) and (1,).
+        value: shape (B,).
+    """
+    for i in range(below.shape[0]):
+        row = below[i]
+        total = bias[0]
+        for j in range(below.shape[1]):
+            total += row[j] * weight[j]
+        value[i] = total
+
+
+@numba.njit(cache=True, fastmath=_FAST)
+def back_head(
+    slope: Floats,
+    below: Floats,
+    weight: Floats,
+    delta: Floats,
+    weight_gradient: Floats,
+    bias_gradient: Floats,
+) -> None:
+    """Take a gradient through `head`.
+
+    Args:
+        slope: with respect to what came out, shape (B,).
+        below, weight: what went in.
+        delta: becomes the gradient with respect to `below`, shape (B, n).
+        weight_gradient, bias_gradient: are overwritten.
+    """
+    weight_gradient[:], bias_gradient[:] = 0, 0
+    for i in range(below.shape[0]):
+        row, out, factor = below[i], delta[i], slope[i]
+        bias_gradient[0] += factor
+        for j in range(below.shape[1]):
+            out[j] = factor * weight[j]
+        for j in range(below.shape[1]):
+            weight_gradient[j] += factor * row[j]

@@ -1,0 +1,209 @@
+"""A video of a controller, side by side in several engines. Drawn without a display or a graphics driver."""
+
+from __future__ import annotations
+
+import tempfile
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import imageio.v2 as imageio
+import numpy as np
+from numpy.typing import NDArray
+from PIL import Image, ImageColor, ImageDraw, ImageFont
+from tqdm import tqdm
+
+from backends.viewers.software import BACKGROUND, Renderer
+from cdcsr.envs.gym_env import ReachVectorEnv
+from cdcsr.files import write_bytes
+from cdcsr.robot.description import Robot
+from controllers.controller import Controller
+from training.plots.run_plots import MISSED_COLOR, REACHED_COLOR
+from training.plots.style import engine_title
+
+Array = NDArray[np.float64]
+Picture = NDArray[np.uint8]
+
+FRAMES_PER_SECOND = 12
+FRAME_PERIOD = 0.01
+"""Simulated time from one frame to the next, in [s]: eight times slower than real."""
+HOLD = 14
+"""Frames for which the end of an episode stays."""
+WIDTH, HEIGHT, CAPTION = 400, 640, 80
+"""Of one engine's picture, and the height of the text above it, in pixels; video codecs want multiples of 16."""
+CLOSE = 160
+"""Edge of the close view beside the robot, in pixels."""
+_INK, _SOFT, _LINE = "#333333", "#808080", "#d5d7db"
+_MARGIN = 20
+
+
+@dataclass(frozen=True)
+class Recording:
+    """Episodes of one controller in one engine, side by side; rows go on after an episode's end."""
+
+    backend: str
+    position: Array
+    """(steps + 1, N, 7 + C + 2 J), as in a Snapshot."""
+    distance: Array
+    """(steps + 1, N) from tip to target, in [m]."""
+    end: NDArray[np.int64]
+    """(N,) the step at which each episode ended."""
+    success: NDArray[np.bool_]
+    """(N,)."""
+
+
+def record(
+    controller: Controller, robot: Robot, backend: str, targets: Array, frame_skip: int = 1
+) -> Recording:
+    """Run a controller from the start, one episode for each target, and keep where everything was.
+
+    Args:
+        controller: who acts.
+        robot: the description.
+        backend: the engine.
+        targets: shape (N, 3), world frame, in [m].
+        frame_skip: simulation steps each action is held for.
+    """
+    num = len(targets)
+    env = ReachVectorEnv(num, robot, backend, frame_skip=frame_skip, autoreset_mode="Disabled")
+    try:
+        observation, info = env.reset(options={"targets": targets})
+        position, distance = [env.simulation.get_snapshot().position], [info["distance"]]
+        end, success, active = np.zeros(num, np.int64), np.zeros(num, bool), np.ones(num, bool)
+        while active.any():
+            observation, _, terminated, truncated, info = env.step(
+                controller.act(env, observation, active)
+            )
+            position.append(env.simulation.get_snapshot().position)
+            distance.append(info["distance"])
+            end += active
+            success |= active & terminated
+            active &= ~(terminated | truncated)
+        return Recording(backend, np.array(position), np.array(distance), end, success)
+    finally:
+        env.close()
+
+
+def policy_video(
+    controller: Controller,
+    robot: Robot,
+    backends: Sequence[str],
+    targets: Array,
+    paths: Sequence[Path],
+    frame_skip: int = 1,
+) -> None:
+    """Write a video of a controller reaching for targets, one column for each engine, in slow motion.
+
+    Args:
+        controller: who acts.
+        robot: the description.
+        backends: the engines.
+        targets: shape (N, 3), world frame, in [m]; one episode for each.
+        paths: the files to write; the ending of each gives its format, .mp4 or .gif.
+        frame_skip: simulation steps each action is held for.
+    """
+    recordings = [record(controller, robot, backend, targets, frame_skip) for backend in backends]
+    frames = list(draw_frames(recordings, robot, targets, robot.time_step * frame_skip))
+    for path in paths:
+        write_video(frames, path)
+
+
+def draw_frames(
+    recordings: Sequence[Recording], robot: Robot, targets: Array, period: float
+) -> Iterator[Picture]:
+    """The frames of a video, episode after episode.
+
+    Args:
+        recordings: of the same episodes in each engine.
+        robot: the description.
+        targets: shape (N, 3), world frame, in [m].
+        period: time from one row of a recording to the next, in [s].
+    """
+    stride = max(1, round(FRAME_PERIOD / period))
+    rows = [
+        [[*range(0, int(end), stride), int(end)] for end in recording.end]
+        for recording in recordings
+    ]
+    total = sum(len(drawn) for episodes in rows for drawn in episodes)
+    renderer = Renderer(robot)
+    try:
+        with tqdm(total=total, desc="video", unit="picture") as bar:
+            for n, target in enumerate(targets):
+                columns: list[list[Picture]] = []
+                for recording, episodes in zip(recordings, rows, strict=True):
+                    columns.append([])
+                    for row in episodes[n]:
+                        caption = _caption(
+                            recording, n, row, f"target {n + 1} of {len(targets)}", row * period
+                        )
+                        picture = _picture(renderer, robot, recording.position[row, n], target)
+                        columns[-1].append(np.concatenate([caption, picture]))
+                        bar.update()
+                # An episode that is over sooner in one engine keeps its last picture there.
+                for i in range(max(map(len, columns)) + HOLD):
+                    yield np.concatenate(
+                        [column[min(i, len(column) - 1)] for column in columns], axis=1
+                    )
+    finally:
+        renderer.close()
+
+
+def write_video(frames: Sequence[Picture], path: Path) -> None:
+    """Write frames as .mp4, or as .gif of half the size and rate."""
+    with tempfile.TemporaryDirectory() as folder:
+        file = Path(folder) / path.name
+        if path.suffix == ".gif":
+            height, width, _ = frames[0].shape
+            small = [
+                Image.fromarray(frame).resize((width // 2, height // 2)).quantize(64)
+                for frame in frames[::2]
+            ]
+            small[0].save(
+                file,
+                save_all=True,
+                append_images=small[1:],
+                duration=2000 // FRAMES_PER_SECOND,
+                loop=0,
+            )
+        else:
+            imageio.mimwrite(
+                file,
+                list(frames),
+                format="FFMPEG",
+                fps=FRAMES_PER_SECOND,
+                codec="libx264",
+                quality=7,
+            )  # type: ignore[arg-type]
+        write_bytes(path, file.read_bytes())
+
+
+def _picture(renderer: Renderer, robot: Robot, position: Array, target: Array) -> Picture:
+    """The whole robot, and beside it the surroundings of the target from near."""
+    picture = renderer.draw(position, targets=target, size=(HEIGHT, WIDTH))
+    near = renderer.draw(
+        position, targets=target, size=(CLOSE, CLOSE), focus=(target, 0.15 * robot.arm_length)
+    )
+    top, left = HEIGHT // 2 - CLOSE, WIDTH - _MARGIN - CLOSE
+    picture[top - 1 : top + CLOSE + 1, left - 1 : left + CLOSE + 1] = ImageColor.getrgb(_LINE)
+    picture[top : top + CLOSE, left : left + CLOSE] = near
+    return picture
+
+
+def _caption(recording: Recording, episode: int, row: int, title: str, time: float) -> Picture:
+    """The text above a picture: which engine, which target, when, and how far."""
+    image = Image.new("RGB", (WIDTH, CAPTION), BACKGROUND)
+    draw = ImageDraw.Draw(image)
+    large, small = ImageFont.load_default(24), ImageFont.load_default(17)
+    right = WIDTH - _MARGIN
+    draw.text((_MARGIN, 12), engine_title(recording.backend), _INK, large)
+    draw.text((right, 17), title, _SOFT, small, anchor="ra")
+    draw.text((_MARGIN, 48), f"{1000 * time:.0f} ms", _INK, small)
+    words, color = f"{1000 * recording.distance[row, episode]:.0f} mm to target", _INK
+    if row == recording.end[episode]:
+        reached = recording.success[episode]
+        words, color = (
+            (words + ": reached", REACHED_COLOR) if reached else (words + ": missed", MISSED_COLOR)
+        )
+    draw.text((right, 48), words, color, small, anchor="ra")
+    draw.line([(_MARGIN, CAPTION - 1), (right, CAPTION - 1)], _LINE)
+    return np.asarray(image)

@@ -1,0 +1,130 @@
+"""Everything a run needs to go on as if it had never stopped, in one safetensors file."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from safetensors import SafetensorError, safe_open
+from safetensors.torch import save_file
+
+from cdcsr.errors import CdcsrError
+from training.algorithms.td3 import TD3
+from training.experience.collector import Collector
+from training.experience.mixed_replay import Memory
+
+_META = "run"
+
+
+def save_state(
+    path: Path,
+    learner: TD3,
+    memory: Memory,
+    collector: Collector,
+    generators: dict[str, np.random.Generator],
+    torch_generator: torch.Generator,
+    counters: dict[str, Any],
+) -> None:
+    """Write the state of a run; the file is complete or, if interrupted, still the one before."""
+    tensors: dict[str, torch.Tensor] = {"torch_generator": torch_generator.get_state()}
+    for name, module in _modules(learner).items():
+        tensors |= {f"{name}.{key}": value for key, value in module.state_dict().items()}
+    for name, optimizer in _optimizers(learner).items():
+        for i, state in optimizer.state_dict()["state"].items():
+            tensors |= {f"{name}.{i}.{key}": torch.as_tensor(value) for key, value in state.items()}
+    # Rows of the ring that hold something; slices share memory, so nothing is copied here.
+    for name, replay in memory.replays.items():
+        tensors |= {
+            f"{name}.{key}": torch.from_numpy(rows[: replay.size])
+            for key, rows in replay.rows.items()
+        }
+    tensors |= {
+        f"env.{key}": torch.from_numpy(np.asarray(value))
+        for key, value in collector.state_arrays().items()
+    }
+    meta = {
+        "counters": counters,
+        "replays": {
+            name: [replay.position, replay.size] for name, replay in memory.replays.items()
+        },
+        "updates": learner.updates,
+        "generators": {name: g.bit_generator.state for name, g in generators.items()},
+    }
+    temporary = path.with_name(f".{path.name}.new")
+    save_file(
+        {key: value.contiguous() for key, value in tensors.items()},
+        temporary,
+        {_META: json.dumps(meta)},
+    )
+    temporary.replace(path)
+
+
+def load_state(
+    path: Path,
+    learner: TD3,
+    memory: Memory,
+    collector: Collector,
+    generators: dict[str, np.random.Generator],
+    torch_generator: torch.Generator,
+) -> dict[str, Any]:
+    """Put a run back to the state in a file; returns its counters.
+
+    Raises:
+        CdcsrError: the file is damaged.
+    """
+    try:
+        with safe_open(path, framework="pt") as file:
+            tensors = {key: file.get_tensor(key) for key in file.keys()}  # noqa: SIM118 (not a dict)
+            meta = json.loads(file.metadata()[_META])
+        for name, module in _modules(learner).items():
+            module.load_state_dict(_below(tensors, f"{name}."))
+        for name, optimizer in _optimizers(learner).items():
+            state: dict[int, dict[str, torch.Tensor]] = {}
+            for key, value in _below(tensors, f"{name}.").items():
+                index, field = key.split(".")
+                state.setdefault(int(index), {})[field] = value
+            optimizer.load_state_dict({**optimizer.state_dict(), "state": state})
+        for name, replay in memory.replays.items():
+            replay.position, replay.size = meta["replays"][name]
+            for key, rows in replay.rows.items():
+                rows[: replay.size] = tensors[f"{name}.{key}"].numpy()
+        learner.updates = meta["updates"]
+        arrays: dict[str, NDArray[Any]] = {
+            key: value.numpy() for key, value in _below(tensors, "env.").items()
+        }
+        collector.load_state_arrays(arrays)
+        for name, generator in generators.items():
+            generator.bit_generator.state = meta["generators"][name]
+        torch_generator.set_state(tensors["torch_generator"])
+    except (OSError, SafetensorError, KeyError, ValueError, RuntimeError, TypeError) as error:
+        reason = str(error).split("\n")[0]
+        raise CdcsrError(
+            f"The saved state {path} is damaged ({type(error).__name__}: {reason}); start anew with --force."
+        ) from None
+    return meta["counters"]
+
+
+def _below(tensors: dict[str, torch.Tensor], prefix: str) -> dict[str, torch.Tensor]:
+    return {
+        key.removeprefix(prefix): value for key, value in tensors.items() if key.startswith(prefix)
+    }
+
+
+def _modules(learner: TD3) -> dict[str, torch.nn.Module]:
+    return {
+        "actor": learner.actor,
+        "critics": learner.critics,
+        "target_actor": learner.target_actor,
+        "target_critics": learner.target_critics,
+    }
+
+
+def _optimizers(learner: TD3) -> dict[str, torch.optim.Optimizer]:
+    return {
+        "actor_optimizer": learner.actor_optimizer,
+        "critic_optimizer": learner.critic_optimizer,
+    }

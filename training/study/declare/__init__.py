@@ -1,0 +1,1 @@
+"""Which runs the study has, and which evaluations of them."""

@@ -1,0 +1,129 @@
+"""Carries out jobs on a Ray cluster, each as a task of one processor. Needs the extra `ray`."""
+
+from __future__ import annotations
+
+import subprocess
+import time
+from collections.abc import Sequence
+from importlib import import_module
+from pathlib import Path
+from typing import Any
+
+from cdcsr.errors import CdcsrError
+from training.run.locks import STALE_AFTER, Busy
+from training.study.execute.jobs import Job, environment
+from training.study.execute.local import Outcome, Progress, duration, failure, log_path
+
+RETRIES = 10
+"""How often a job is given to another node when the one it ran on is lost."""
+RETRY_BUSY = 2.0
+"""Seconds until a job is tried again whose lock another process holds."""
+
+
+def carry_out_on_ray(
+    jobs: Sequence[Job], runs: Path, results: Path, address: str | None
+) -> Outcome:
+    """Do jobs on a cluster; one that fails does not stop the others, nor does a node that is lost.
+
+    Every node must have this package installed and see `runs` and `results` at the same path as this machine.
+
+    Args:
+        jobs: what is wanted, in this order.
+        runs: folder of the training runs, their logs and their locks.
+        results: folder of the results.
+        address: of a cluster that runs, as for `ray.init`; None starts one on this machine, for as long as needed.
+
+    Raises:
+        CdcsrError: Ray is not installed, or there is no cluster at that address.
+    """
+    ray = _import_ray()
+    runs, results = runs.resolve(), results.resolve()
+    outcome, left = Outcome(), list[Job]()
+    for job in jobs:
+        if job.is_done(results):
+            outcome.skipped.append(job.name)
+            print(f"{job.name}: done before", flush=True)
+        else:
+            left.append(job)
+    if not left:
+        return outcome
+    try:
+        ray.init(address=address, log_to_driver=False, logging_level="ERROR")
+    except (ConnectionError, ValueError, RuntimeError) as error:
+        raise CdcsrError(f"There is no Ray cluster at {address!r}: {_first_line(error)}.") from None
+    try:
+        processors = int(ray.cluster_resources().get("CPU", 1))
+        print(
+            f"{len(left)} runs on {len(ray.nodes())} nodes with {processors} processors", flush=True
+        )
+        progress = Progress(left, max(1, processors))
+        task = ray.remote(num_cpus=1, max_retries=RETRIES)(do_one)
+        waiting = {task.remote(job.to_json(), str(runs), str(results)): job for job in left}
+        while waiting:
+            (done, *_), _ = ray.wait(list(waiting))
+            _conclude(ray, done, waiting.pop(done), runs, results, outcome, progress)
+    finally:
+        ray.shutdown()
+    return outcome
+
+
+def do_one(text: str, runs: str, results: str) -> tuple[int, float]:
+    """Do one job, on the node this is called on.
+
+    Its process ends with the one that calls this. A lock that a lost node left behind is waited for.
+
+    Args:
+        text: the job, as JSON.
+        runs, results: the folders, absolute.
+
+    Returns:
+        The exit code, and the minutes it took.
+    """
+    job, runs_folder, folder = Job.from_json(text), Path(runs), Path(results)
+    runs_folder.mkdir(parents=True, exist_ok=True)
+    started = time.monotonic()
+    while True:
+        with log_path(job, runs_folder).open("ab") as log:
+            process = subprocess.Popen(
+                job.command(runs_folder, folder),
+                stdin=subprocess.PIPE,
+                stdout=log,
+                stderr=subprocess.STDOUT,
+                env=environment(),
+                start_new_session=True,
+            )
+            code = process.wait()
+        if code != Busy.exit_code or time.monotonic() - started > 2 * STALE_AFTER:
+            break
+        time.sleep(RETRY_BUSY)
+    return code, (time.monotonic() - started) / 60
+
+
+def _conclude(
+    ray: Any, done: Any, job: Job, runs: Path, results: Path, outcome: Outcome, progress: Progress
+) -> None:
+    try:
+        code, minutes = ray.get(done)
+    except ray.exceptions.RayError as error:
+        outcome.failed[job.name] = _first_line(error)
+        progress.done(job, f"failed, {outcome.failed[job.name]}")
+        return
+    if code == 0 and job.is_done(results):
+        outcome.finished[job.name] = minutes
+        progress.done(job, f"finished in {duration(minutes)}", minutes)
+    else:
+        outcome.failed[job.name] = failure(code, log_path(job, runs))
+        progress.done(job, f"failed, {outcome.failed[job.name]}")
+
+
+def _first_line(error: Exception) -> str:
+    return next(iter(str(error).splitlines()), type(error).__name__)
+
+
+def _import_ray() -> Any:
+    try:
+        return import_module("ray")  # an extra, which type checkers need not find
+    except ModuleNotFoundError:
+        raise CdcsrError(
+            "Ray is not installed; install it with pip install 'cdcsr[ray]'."
+        ) from None

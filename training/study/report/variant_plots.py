@@ -1,0 +1,89 @@
+"""What a change to a learner does to its learning: a panel for each, beside the learner as it is."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
+from pathlib import Path
+from textwrap import fill
+
+import numpy as np
+
+from training.plots.style import algorithm_title, drawn, engine_title, short_count
+from training.study.report.learning_curves import (
+    COLORS,
+    aligned,
+    by_kind,
+    caption,
+    draw_curve,
+    legend,
+    tidy,
+)
+from training.study.report.records import SPACES, Run, Setting, grouped
+from training.study.report.tables import variants
+
+COLUMNS = 5
+_CHANGED = "with the change"
+
+
+def variant_figures(runs: Sequence[Run], out: Path) -> Iterator[tuple[str, str]]:
+    """Draw the learning curves of every variant, a figure for each preset, engine and space.
+
+    Args:
+        runs: of the study.
+        out: folder of the figures.
+
+    Yields:
+        The name of each file, and its caption.
+    """
+    for (preset, engine, updates), some in sorted(by_kind(variants(runs)).items()):
+        for space, title in SPACES.items():
+            groups = grouped(run for run in some if run.setting.space == space)
+            pairs = [(s, replace(s, switches=())) for s in groups if s.switches]
+            if not pairs:
+                continue
+            file = f"variants-{preset}-{space}-{engine}{f'-u{updates}' if updates else ''}.png"
+            _draw(pairs, groups, out / file)
+            own = [run for group in groups.values() for run in group]
+            length = f", {updates} updates" if updates else ""
+            yield (
+                file,
+                (
+                    f"Variants in {title} Space, each beside its algorithm without the change, trained in"
+                    f" {engine_title(engine)}{length}. {caption(own)}"
+                ),
+            )
+
+
+def _draw(
+    pairs: Sequence[tuple[Setting, Setting]], groups: dict[Setting, list[Run]], path: Path
+) -> None:
+    columns = min(COLUMNS, len(pairs))
+    rows = -(-len(pairs) // columns)
+    with drawn(path, (2.3 * columns + 0.5, 2.3 * rows + 0.6), "constrained") as figure:
+        grid = figure.subplots(rows, columns, sharex=True, sharey=True, squeeze=False)
+        lowest = 1.0
+        for axes, (changed, plain) in zip(grid.flat, pairs, strict=False):
+            for setting, label, color in (
+                (plain, algorithm_title(plain.algorithm), COLORS[plain.algorithm]),
+                (changed, _CHANGED, COLORS["td3wd"]),
+            ):
+                group = groups.get(setting, [])
+                draw_curve(axes, setting, group, label, color, "-")
+                updates, curves = aligned(group)
+                if len(updates):
+                    lowest = min(lowest, float(curves.mean(axis=0)[-1]))
+            switches = [f"{name} = {value}" for name, value in changed.switches]
+            title = fill(f"{algorithm_title(changed.algorithm)}: {', '.join(switches)}", 34)
+            axes.set_title(title, fontsize=7.5)
+            axes.set_xlim(left=0)
+            axes.xaxis.set_major_formatter(short_count)
+            tidy(axes)
+        for axes in grid.flat[len(pairs) :]:
+            axes.set_visible(False)
+        for axes in grid.flat[max(0, len(pairs) - columns) : len(pairs)]:  # nothing is below them
+            axes.tick_params(labelbottom=True)
+            axes.set_xlabel("updates", fontsize=9)
+        grid[0, 0].set_ylim(max(-0.02, float(np.floor(10 * lowest) / 10) - 0.4), 1.02)
+        figure.supylabel("success on validation targets", fontsize=9)
+        legend(figure, 4)
