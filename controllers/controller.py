@@ -7,7 +7,7 @@ from abc import ABC, abstractmethod
 import numpy as np
 from numpy.typing import NDArray
 
-from cdcsr.envs.gym_env import ReachVectorEnv
+from cdcsr.envs.gym_env import TaskVectorEnv
 
 Array = NDArray[np.float64]
 
@@ -18,7 +18,7 @@ class Controller(ABC):
     name: str
 
     @abstractmethod
-    def act(self, env: ReachVectorEnv, observation: Array, active: NDArray[np.bool_]) -> Array:
+    def act(self, env: TaskVectorEnv, observation: Array, active: NDArray[np.bool_]) -> Array:
         """Commands for the next control step.
 
         Args:

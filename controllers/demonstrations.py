@@ -12,7 +12,7 @@ import gymnasium
 import numpy as np
 from numpy.typing import NDArray
 
-from cdcsr.envs.gym_env import ReachVectorEnv
+from cdcsr.envs.gym_env import TaskVectorEnv
 from cdcsr.errors import CdcsrError
 from controllers.controller import Controller
 
@@ -86,7 +86,7 @@ class Rollout:
 
 
 def record(
-    controller: Controller, env: ReachVectorEnv, num: int, seed: int
+    controller: Controller, env: TaskVectorEnv, num: int, seed: int
 ) -> tuple[list[Episode], int]:
     """Record successful episodes of a controller; one that misses its target is drawn anew.
 
@@ -119,7 +119,7 @@ def record(
         observation, _ = env.reset()
 
 
-def rollout(controller: Controller, env: ReachVectorEnv, observation: Array) -> Rollout:
+def rollout(controller: Controller, env: TaskVectorEnv, observation: Array) -> Rollout:
     """One episode per copy, from the observation of a reset."""
     num = env.num_envs
     active = np.ones(num, dtype=bool)
@@ -153,7 +153,7 @@ def rollout(controller: Controller, env: ReachVectorEnv, observation: Array) -> 
 
 
 def save(
-    folder: Path, episodes: list[Episode], env: ReachVectorEnv, controller: str, dataset_id: str
+    folder: Path, episodes: list[Episode], env: TaskVectorEnv, controller: str, dataset_id: str
 ) -> None:
     """Write a Minari dataset (hdf5) into an existing, empty folder."""
     import minari

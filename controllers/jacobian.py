@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import lsq_linear, nnls
 
-from cdcsr.envs.gym_env import ReachVectorEnv
+from cdcsr.envs.gym_env import TaskVectorEnv
 from cdcsr.robot.description import Robot
 from cdcsr.simulation.contract import Dynamics
 from controllers.controller import Controller
@@ -59,7 +59,7 @@ class JacobianController(Controller):
         self._servo_gain = np.array([servo.gain for servo in robot.servos])
         self._eta = np.array([servo.eta for servo in robot.servos])
 
-    def act(self, env: ReachVectorEnv, observation: Array, active: NDArray[np.bool_]) -> Array:
+    def act(self, env: TaskVectorEnv, observation: Array, active: NDArray[np.bool_]) -> Array:
         ids = np.flatnonzero(active)
         state = env.simulation.state()
         command = np.zeros((env.num_envs, len(self._eta)))

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from cdcsr.envs.gym_env import ReachVectorEnv
+from cdcsr.envs.gym_env import TaskVectorEnv
 from controllers.controller import Controller
 from controllers.demonstrations import Rollout, rollout
 
@@ -54,14 +54,14 @@ class Nudged(Controller):
         self.name = controller.name
         self._controller, self._plans = controller, plans
 
-    def act(self, env: ReachVectorEnv, observation: Array, active: NDArray[np.bool_]) -> Array:
+    def act(self, env: TaskVectorEnv, observation: Array, active: NDArray[np.bool_]) -> Array:
         offset = self._plans[np.arange(env.num_envs), env.actions_taken // HOLD]
         return np.clip(self._controller.act(env, observation, active) + offset, -_eta(env), 0)
 
 
 def improve(
     controller: Controller,
-    env: ReachVectorEnv,
+    env: TaskVectorEnv,
     target: Array,
     rounds: int,
     seed: int,
@@ -123,7 +123,7 @@ def _everywhere(plan: Array, num: int) -> Array:
     return np.broadcast_to(plan, (num, *plan.shape))
 
 
-def _eta(env: ReachVectorEnv) -> Array:
+def _eta(env: TaskVectorEnv) -> Array:
     """Set-points lie in [-eta, 0], shape (C,), in [m]."""
     return np.array([servo.eta for servo in env.robot.servos])
 

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from safetensors import SafetensorError
 from safetensors.torch import load_file, save
 
-from cdcsr.envs.gym_env import ReachVectorEnv
+from cdcsr.envs.gym_env import TaskVectorEnv
 from cdcsr.errors import CdcsrError, unknown_choice
 from cdcsr.files import write_bytes, write_json
 from cdcsr.robot.description import Robot, parse_robot
@@ -63,7 +63,7 @@ class Policy(Controller):
     def _weights(self) -> dict[str, torch.Tensor]:
         return {name: tensor.contiguous() for name, tensor in self.actor.state_dict().items()}
 
-    def act(self, env: ReachVectorEnv, observation: Array, active: NDArray[np.bool_]) -> Array:
+    def act(self, env: TaskVectorEnv, observation: Array, active: NDArray[np.bool_]) -> Array:
         if env.robot is not self._checked:
             self._check(env.robot)
         with torch.no_grad():

@@ -8,7 +8,7 @@ import numpy as np
 
 from backends.mujoco.active_cables import CURRENT
 from backends.mujoco.simulation import MujocoSimulation
-from cdcsr.envs.gym_env import ReachVectorEnv
+from cdcsr.envs.gym_env import TaskVectorEnv
 from cdcsr.robot.description import Robot
 
 
@@ -19,7 +19,7 @@ def vector_env_speed(
 
     The two take turns, so that a busy machine slows both alike; medians over the rounds.
     """
-    env = ReachVectorEnv(num, robot, "mujoco")
+    env = TaskVectorEnv(num, robot, "mujoco")
     env.reset(seed=0)
     bare = MujocoSimulation(robot, num)
     commands = -np.random.default_rng(0).random((steps, num, robot.num_cables))

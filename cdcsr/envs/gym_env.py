@@ -311,11 +311,6 @@ class TaskEnv(gym.Env[Array, Array]):
         self.batch.close()
 
 
-# By the name of the task that they are at by default.
-ReachVectorEnv = TaskVectorEnv
-ReachEnv = TaskEnv
-
-
 def _read_options(options: dict[str, Any] | None, **shapes: tuple[int, ...]) -> dict[str, Array]:
     """The options of a reset as arrays; a name that is not in `shapes` and another shape are errors."""
     arrays: dict[str, Array] = {}

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from cdcsr.envs.gym_env import ReachVectorEnv
+from cdcsr.envs.gym_env import TaskVectorEnv
 from cdcsr.errors import CdcsrError
 from cdcsr.robot.description import load_robot
 from cdcsr.tasks.spaces import demonstration_targets
@@ -41,7 +41,7 @@ def test_stock_minari_reads_it(folder: Path, monkeypatch: pytest.MonkeyPatch) ->
 
 def test_replaying_the_commands_gives_the_observations(folder: Path) -> None:
     episode = load(folder, load_robot("paper").fingerprint)[1]
-    env = ReachVectorEnv(1, autoreset_mode="Disabled")
+    env = TaskVectorEnv(1, autoreset_mode="Disabled")
     observation, _ = env.reset(options={"targets": episode.target[None]})
     np.testing.assert_array_equal(observation[0], episode.observations[0])
     for action, expected in zip(episode.actions, episode.observations[1:], strict=True):
@@ -74,7 +74,7 @@ def test_targets_are_those_of_the_seed(folder: Path) -> None:
 
 
 def test_failed_episodes_are_drawn_anew() -> None:
-    env = ReachVectorEnv(
+    env = TaskVectorEnv(
         4, max_steps=110, autoreset_mode="Disabled"
     )  # too short for about half the targets
     episodes, failed = record(JacobianController(env.robot), env, num=6, seed=0)
@@ -84,7 +84,7 @@ def test_failed_episodes_are_drawn_anew() -> None:
 
 
 def test_a_hopeless_space_is_an_error() -> None:
-    env = ReachVectorEnv(4, max_steps=5, autoreset_mode="Disabled")
+    env = TaskVectorEnv(4, max_steps=5, autoreset_mode="Disabled")
     with pytest.raises(CdcsrError, match=r"reached 0 of \d+ targets"):
         record(JacobianController(env.robot), env, num=2, seed=0)
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.optimize import minimize
 
-from cdcsr.envs.gym_env import ReachVectorEnv
+from cdcsr.envs.gym_env import TaskVectorEnv
 from cdcsr.robot.description import load_robot
 from controllers.demonstrations import rollout
 from controllers.jacobian import JacobianController
@@ -17,7 +17,7 @@ from controllers.jacobian import JacobianController
     ("robot", "least"), [("paper", 8), ("three-segment", 8), ("three-cable", 7)]
 )
 def test_reaches_anchor_targets(backend: str, robot: str, least: int) -> None:
-    env = ReachVectorEnv(8, robot, backend, "anchor", autoreset_mode="Disabled")
+    env = TaskVectorEnv(8, robot, backend, "anchor", autoreset_mode="Disabled")
     observation, _ = env.reset(seed=4)
     result = rollout(JacobianController(env.robot), env, observation)
     env.close()
@@ -25,7 +25,7 @@ def test_reaches_anchor_targets(backend: str, robot: str, least: int) -> None:
 
 
 def test_planar_robot_stays_in_its_plane() -> None:
-    env = ReachVectorEnv(10, "planar-single", "mujoco", "anchor", autoreset_mode="Disabled")
+    env = TaskVectorEnv(10, "planar-single", "mujoco", "anchor", autoreset_mode="Disabled")
     observation, _ = env.reset(seed=4)
     result = rollout(JacobianController(env.robot), env, observation)
     assert result.success.all()
@@ -35,7 +35,7 @@ def test_planar_robot_stays_in_its_plane() -> None:
 @pytest.mark.parametrize("backend", ["mujoco", "pybullet"])
 def test_predicts_the_tip_velocity_of_the_next_step(backend: str) -> None:
     """With tensions as measured in a step, the prediction from before it meets the velocity after it."""
-    env = ReachVectorEnv(1, "paper", backend, "anchor", autoreset_mode="Disabled")
+    env = TaskVectorEnv(1, "paper", backend, "anchor", autoreset_mode="Disabled")
     controller = JacobianController(env.robot)
     observation, _ = env.reset(seed=1)
     active = np.ones(1, dtype=bool)

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from cdcsr.envs.gym_env import ReachVectorEnv
+from cdcsr.envs.gym_env import TaskVectorEnv
 from cdcsr.tasks.spaces import make_space
 from controllers.controller import Controller
 from controllers.demonstrations import Rollout, record, rollout
@@ -20,7 +20,7 @@ Array = NDArray[np.float64]
 class Idle(Controller):
     name = "idle"
 
-    def act(self, env: ReachVectorEnv, observation: Array, active: NDArray[np.bool_]) -> Array:
+    def act(self, env: TaskVectorEnv, observation: Array, active: NDArray[np.bool_]) -> Array:
         return np.zeros((env.num_envs, 1))
 
 
@@ -72,7 +72,7 @@ def result() -> Rollout:
         ["01000", "00011", "00000", "00001"],
         [9, 3, 4, 9],
     )
-    return rollout(Idle(), cast(ReachVectorEnv, env), np.zeros((4, 1)))
+    return rollout(Idle(), cast(TaskVectorEnv, env), np.zeros((4, 1)))
 
 
 def test_success_is_as_an_episode_ends(result: Rollout) -> None:
@@ -98,7 +98,7 @@ def test_an_episode_is_cut_to_its_length_and_its_target_is_where_it_was_at_first
 
 def test_each_batch_of_a_recording_has_targets_of_its_own() -> None:
     """Of one stream, drawn here once more."""
-    env = ReachVectorEnv(2, frame_skip=5, autoreset_mode="Disabled")
+    env = TaskVectorEnv(2, frame_skip=5, autoreset_mode="Disabled")
     episodes, failed = record(JacobianController(env.robot), env, num=5, seed=3)
     env.close()
     assert failed == 0

@@ -9,7 +9,7 @@ import pytest
 from numpy.typing import NDArray
 
 from cdcsr.envs.disturbances import Disturbances
-from cdcsr.envs.gym_env import ReachVectorEnv
+from cdcsr.envs.gym_env import TaskVectorEnv
 from cdcsr.tasks.observation import DISTANCE
 from controllers import search
 from controllers.controller import Controller
@@ -27,16 +27,14 @@ class Slack(Controller):
     def __init__(self, pull: float = 0.0) -> None:
         self.pull = pull
 
-    def act(self, env: ReachVectorEnv, observation: Array, active: NDArray[np.bool_]) -> Array:
+    def act(self, env: TaskVectorEnv, observation: Array, active: NDArray[np.bool_]) -> Array:
         commands = np.zeros((env.num_envs, env.robot.num_cables))
         commands[:, 0] = commands[:, 4] = -self.pull
         return commands
 
 
-def _envs(
-    num: int, steps: int = 250, threshold: float = 0.03, noise: float = 0.0
-) -> ReachVectorEnv:
-    return ReachVectorEnv(
+def _envs(num: int, steps: int = 250, threshold: float = 0.03, noise: float = 0.0) -> TaskVectorEnv:
+    return TaskVectorEnv(
         num,
         max_steps=steps,
         threshold=threshold,
@@ -100,7 +98,7 @@ def test_what_is_found_is_hardly_worse_and_is_not_sought_where_it_is_not_wanted(
     calls = []
 
     class Counted(Slack):
-        def act(self, env: ReachVectorEnv, observation: Array, active: NDArray[np.bool_]) -> Array:
+        def act(self, env: TaskVectorEnv, observation: Array, active: NDArray[np.bool_]) -> Array:
             calls.append(1)
             return super().act(env, observation, active)
 
@@ -113,7 +111,7 @@ def test_what_is_found_is_hardly_worse_and_is_not_sought_where_it_is_not_wanted(
 
 
 def test_nearest_is_of_the_plant_and_not_what_a_lossy_link_shows() -> None:
-    env = ReachVectorEnv(
+    env = TaskVectorEnv(
         2,
         max_steps=200,
         threshold=1e-9,
@@ -124,7 +122,7 @@ def test_nearest_is_of_the_plant_and_not_what_a_lossy_link_shows() -> None:
     targets, tips = env.targets.copy(), []
 
     class Watched(Slack):
-        def act(self, env: ReachVectorEnv, observation: Array, active: NDArray[np.bool_]) -> Array:
+        def act(self, env: TaskVectorEnv, observation: Array, active: NDArray[np.bool_]) -> Array:
             tips.append(env.simulation.state().tip_position.copy())
             self.pull = 5.0 if len(tips) <= 60 else 0.0
             return super().act(env, observation, active)
@@ -147,7 +145,7 @@ class Landscape:
     ) -> None:
         self.length, self.chance, self.rng, self.tries = length, chance, np.random.default_rng(0), 0
 
-    def __call__(self, controller: Nudged, env: ReachVectorEnv, _: Array) -> Rollout:
+    def __call__(self, controller: Nudged, env: TaskVectorEnv, _: Array) -> Rollout:
         self.tries += 1
         plans, num, nothing = controller._plans, env.num_envs, np.zeros(0)
         length = np.array([round(self.length(plan, self.rng)) for plan in plans])

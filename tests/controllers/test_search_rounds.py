@@ -9,7 +9,7 @@ import pytest
 from numpy.typing import NDArray
 
 from cdcsr.envs.disturbances import Disturbances
-from cdcsr.envs.gym_env import ReachVectorEnv
+from cdcsr.envs.gym_env import TaskVectorEnv
 from controllers import search
 from controllers.controller import Controller
 from controllers.demonstrations import Rollout
@@ -23,7 +23,7 @@ TARGET = np.array([0.2, 0.1, 2.5])
 class Still(Controller):
     name = "still"
 
-    def act(self, env: ReachVectorEnv, observation: Array, active: NDArray[np.bool_]) -> Array:
+    def act(self, env: TaskVectorEnv, observation: Array, active: NDArray[np.bool_]) -> Array:
         return np.zeros((env.num_envs, env.robot.num_cables))
 
 
@@ -33,7 +33,7 @@ class Known:
     def __init__(self, outcome: Callable[[Array], tuple[float | None, float]]) -> None:
         self.outcome, self.plans, self.observations = outcome, list[Array](), list[Array]()
 
-    def __call__(self, controller: Nudged, env: ReachVectorEnv, observation: Array) -> Rollout:
+    def __call__(self, controller: Nudged, env: TaskVectorEnv, observation: Array) -> Rollout:
         self.plans.append(np.array(controller._plans))
         self.observations.append(observation.copy())
         found = [self.outcome(plan) for plan in controller._plans]
@@ -57,7 +57,7 @@ def improved(
 ) -> tuple[Outcome, Outcome, Array]:
     """Outcomes, and eta."""
     monkeypatch.setattr(search, "rollout", known)
-    env = ReachVectorEnv(
+    env = TaskVectorEnv(
         NUM,
         "planar-single",
         max_steps=25,

@@ -73,7 +73,7 @@ def search(
     import torch
 
     from cdcsr.envs.disturbances import Disturbances
-    from cdcsr.envs.gym_env import ReachVectorEnv
+    from cdcsr.envs.gym_env import TaskVectorEnv
     from cdcsr.errors import CdcsrError
     from cdcsr.files import write_json, write_text
     from controllers.search import improve
@@ -106,7 +106,7 @@ def search(
         "autoreset_mode": "Disabled",
         "centers": None if learned is None else learned.centers,
     }
-    drawn = ReachVectorEnv(episodes, **common)
+    drawn = TaskVectorEnv(episodes, **common)
     drawn.reset(seed=seed)
     targets = drawn.targets.copy()
     drawn.close()
@@ -130,7 +130,7 @@ def search(
             "by tries drawn anew"  # once it was by those that chose, so such a search cannot go on
         )
     rows = _claim(out, identity, targets.round(4), force)
-    env = ReachVectorEnv(_COPIES, disturbances=disturbances, **common)
+    env = TaskVectorEnv(_COPIES, disturbances=disturbances, **common)
     try:
         for episode in range(len(rows), episodes):
             alone, best = improve(

@@ -10,7 +10,7 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from cdcsr.envs.gym_env import ReachVectorEnv
+from cdcsr.envs.gym_env import TaskVectorEnv
 from cdcsr.tasks.observation import observation_size
 from training.config.run_config import Learner
 from training.networks.actor_critic import Actor
@@ -57,7 +57,7 @@ class Collector:
     """
 
     def __init__(
-        self, env: ReachVectorEnv, noise: float | Array, hold: int, rng: np.random.Generator
+        self, env: TaskVectorEnv, noise: float | Array, hold: int, rng: np.random.Generator
     ) -> None:
         self.env, self._hold, self._rng = env, hold, rng
         self._scale = np.broadcast_to(noise, env.num_envs)[:, None]

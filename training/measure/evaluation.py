@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cdcsr.envs.disturbances import Disturbances
-from cdcsr.envs.gym_env import ReachVectorEnv
+from cdcsr.envs.gym_env import TaskVectorEnv
 from cdcsr.errors import CdcsrError
 from cdcsr.robot.description import Robot
 from cdcsr.tasks.catalogue import make_task
@@ -94,7 +94,7 @@ def evaluate(
         controller = controller.on(plant.robot)
     if plant.observation_delay:
         disturbances = replace(disturbances, observation_delay=plant.observation_delay)
-    env = ReachVectorEnv(
+    env = TaskVectorEnv(
         episodes,
         plant.robot,
         backend,

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from backends.parity.trajectories import DEMONSTRATOR, Commands
-from cdcsr.envs.gym_env import ReachVectorEnv
+from cdcsr.envs.gym_env import TaskVectorEnv
 from cdcsr.robot.description import Robot
 from controllers.demonstrations import rollout
 from controllers.jacobian import JacobianController
@@ -14,7 +14,7 @@ def demonstrator_commands(robot: Robot, backend: str, episodes: int, seed: int) 
 
     Whether it arrives does not matter here: an episode that fails is as good for comparing engines.
     """
-    env = ReachVectorEnv(episodes, robot, backend, autoreset_mode="Disabled")
+    env = TaskVectorEnv(episodes, robot, backend, autoreset_mode="Disabled")
     observation, _ = env.reset(seed=seed)
     run = rollout(JacobianController(robot), env, observation)
     env.close()

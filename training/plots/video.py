@@ -14,7 +14,7 @@ from PIL import Image, ImageColor, ImageDraw, ImageFont
 from tqdm import tqdm
 
 from backends.viewers.software import BACKGROUND, Renderer
-from cdcsr.envs.gym_env import ReachVectorEnv
+from cdcsr.envs.gym_env import TaskVectorEnv
 from cdcsr.files import write_bytes
 from cdcsr.robot.description import Robot
 from controllers.controller import Controller
@@ -65,7 +65,7 @@ def record(
         frame_skip: simulation steps each action is held for.
     """
     num = len(targets)
-    env = ReachVectorEnv(num, robot, backend, frame_skip=frame_skip, autoreset_mode="Disabled")
+    env = TaskVectorEnv(num, robot, backend, frame_skip=frame_skip, autoreset_mode="Disabled")
     try:
         observation, info = env.reset(options={"targets": targets})
         position, distance = [env.simulation.get_snapshot().position], [info["distance"]]

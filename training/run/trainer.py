@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 from tqdm import tqdm
 
-from cdcsr.envs.gym_env import ReachVectorEnv
+from cdcsr.envs.gym_env import TaskVectorEnv
 from cdcsr.errors import CdcsrError
 from cdcsr.files import write_bytes, write_json
 from cdcsr.robot.description import Robot, load_robot
@@ -150,10 +150,10 @@ class Run:
         env.close()
         return episodes
 
-    def _env(self, num: int, space: str, **more: Any) -> ReachVectorEnv:
+    def _env(self, num: int, space: str, **more: Any) -> TaskVectorEnv:
         config = self.config
         centers = self.centers if hasattr(self, "centers") else None
-        return ReachVectorEnv(
+        return TaskVectorEnv(
             num,
             self.robot,
             config.backend,

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from cdcsr.envs.gym_env import ReachVectorEnv
+from cdcsr.envs.gym_env import TaskVectorEnv
 from cdcsr.robot.description import Robot, load_robot
 from cdcsr.tasks.observation import DISTANCE, TARGET
 from cdcsr.tasks.symmetry import images
@@ -16,7 +16,7 @@ _ACTIONS, _HOLD = 120, 10
 def test_what_the_image_does(engine: str, robot: Robot) -> None:
     """The image of each command leads to the image of each observation: tip, base, its turning, sliders, and speeds."""
     known = images(robot)
-    env = ReachVectorEnv(len(known), robot, engine, autoreset_mode="Disabled")
+    env = TaskVectorEnv(len(known), robot, engine, autoreset_mode="Disabled")
     rng = np.random.default_rng(0)
     eta = np.array([servo.eta for servo in robot.servos])
     command, moved = -eta, np.zeros(3)

@@ -13,7 +13,7 @@ from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.wrappers.vector import DictInfoToList
 
 from cdcsr.envs.disturbances import Disturbances
-from cdcsr.envs.gym_env import ReachEnv, ReachVectorEnv
+from cdcsr.envs.gym_env import TaskEnv, TaskVectorEnv
 from cdcsr.errors import CdcsrError
 from cdcsr.robot.description import shipped_robots
 from cdcsr.simulation.contract import Array
@@ -111,7 +111,7 @@ def test_an_episode_lasts_250_simulation_steps(frame_skip: int, actions: int) ->
     env.reset(options={"target": [0, 1, 1]})
     ends = [env.step(IDLE)[2:4] for _ in range(actions)]
     assert ends == [(False, False)] * (actions - 1) + [(False, True)]
-    assert isinstance(env.unwrapped, ReachEnv)
+    assert isinstance(env.unwrapped, TaskEnv)
     time = env.unwrapped.batch.simulation.state().time[0]
     assert time == pytest.approx(actions * frame_skip * 0.0025)
     env.reset()
@@ -138,7 +138,7 @@ def test_actions_beyond_the_bounds_are_clipped() -> None:
 
 
 def test_centers_and_threshold_reach_space_and_task() -> None:
-    env = ReachVectorEnv(20, space="floating", centers=np.array([TIP]), threshold=0.005)
+    env = TaskVectorEnv(20, space="floating", centers=np.array([TIP]), threshold=0.005)
     observation, info = env.reset(seed=0)
     distance = np.linalg.norm(observation[:, 6:9] - TIP, axis=1)
     assert distance.max() <= 0.01
@@ -258,7 +258,7 @@ def test_without_autoreset_episodes_go_on_until_told() -> None:
 
 def test_disturbances_act_between_policy_and_robot() -> None:
     """With no observation arriving, the first one stands still; noise moves robots differently under one command."""
-    env = ReachVectorEnv(2, disturbances=Disturbances(action_noise=0.5, packet_loss=1.0))
+    env = TaskVectorEnv(2, disturbances=Disturbances(action_noise=0.5, packet_loss=1.0))
     first, _ = env.reset(seed=0)
     last = first
     for _ in range(5):
@@ -271,7 +271,7 @@ def test_disturbances_act_between_policy_and_robot() -> None:
 
 
 def test_the_seed_decides_the_disturbances_too() -> None:
-    env = ReachVectorEnv(
+    env = TaskVectorEnv(
         3, disturbances=Disturbances(action_noise=0.5, base_noise=0.1, packet_loss=0.3)
     )
     runs = []

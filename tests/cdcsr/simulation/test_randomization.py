@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from cdcsr.envs.gym_env import ReachVectorEnv
+from cdcsr.envs.gym_env import TaskVectorEnv
 from cdcsr.errors import CdcsrError
 from cdcsr.robot.description import Robot, load_robot
 from cdcsr.simulation.engines import make_simulation
@@ -55,7 +55,7 @@ def test_only_those_that_begin_get_a_new_plant(robot: Robot) -> None:
 def test_targets_do_not_depend_on_it(robot: Robot) -> None:
     targets = []
     for randomization in (None, _randomization(robot, 3, 1.0)):
-        env = ReachVectorEnv(3, robot, max_steps=2, randomization=randomization)
+        env = TaskVectorEnv(3, robot, max_steps=2, randomization=randomization)
         env.reset(seed=5)
         first = env.targets.copy()
         for _ in range(2):  # with the second step all episodes end, and the next begin
@@ -71,7 +71,7 @@ def test_scale_zero_is_off_to_the_bit_and_one_is_not(robot: Robot, scale: float)
     commands = np.random.default_rng(1).uniform(-1, 0, (20, 2, robot.num_cables))
     observations = []
     for randomization in (None, _randomization(robot, 2, scale)):
-        env = ReachVectorEnv(2, robot, randomization=randomization)
+        env = TaskVectorEnv(2, robot, randomization=randomization)
         env.reset(seed=0)
         observations.append(np.array([env.step(command)[0] for command in commands]))
         env.close()

@@ -10,7 +10,7 @@ import pytest
 import torch
 from numpy.typing import NDArray
 
-from cdcsr.envs.gym_env import ReachVectorEnv
+from cdcsr.envs.gym_env import TaskVectorEnv
 from cdcsr.robot.description import Robot, load_robot
 from tests.support.tiny import FRAME_SKIP
 from training.config.run_config import Learner
@@ -38,7 +38,7 @@ LEARNER = Learner(
 def test_what_is_stored_is_what_happened(task: str, threshold: float) -> None:
     torch.manual_seed(0)
     robot = load_robot("paper")
-    env = ReachVectorEnv(
+    env = TaskVectorEnv(
         NUM, robot, "mujoco", "spatter", "sparse", FRAME_SKIP, task=task, threshold=threshold
     )
     if task == "capture":
@@ -91,7 +91,7 @@ def test_what_is_stored_is_what_happened(task: str, threshold: float) -> None:
     assert found > 250
 
 
-def _logged(env: ReachVectorEnv) -> list[list[list[tuple[Any, ...]]]]:
+def _logged(env: TaskVectorEnv) -> list[list[list[tuple[Any, ...]]]]:
     """Of each environment its episodes, of each of their actions what the environment was told and said."""
     log: list[list[list[tuple[Any, ...]]]] = [[[]] for _ in range(env.num_envs)]
     step, reset = env.step, env.reset
@@ -149,7 +149,7 @@ class _Still:
 def test_noise_is_held_changed_at_different_times_and_goes_up_a_ladder(small_robot: Robot) -> None:
     still, learner = _Still(small_robot), replace(LEARNER, exploration_noise=0.1)
     collector = Collector(
-        cast(ReachVectorEnv, still),
+        cast(TaskVectorEnv, still),
         exploration_noise(learner),
         learner.noise_hold,
         np.random.default_rng(0),

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from cdcsr import cli
 from cdcsr.envs.disturbances import Disturbances
-from cdcsr.envs.gym_env import ReachVectorEnv
+from cdcsr.envs.gym_env import TaskVectorEnv
 from cdcsr.errors import CdcsrError
 from cdcsr.robot.description import load_robot
 from controllers.controller import Controller
@@ -41,7 +41,7 @@ class Still(Controller):
 
     name = "still"
 
-    def act(self, env: ReachVectorEnv, observation: Array, active: NDArray[np.bool_]) -> Array:
+    def act(self, env: TaskVectorEnv, observation: Array, active: NDArray[np.bool_]) -> Array:
         return np.zeros((env.num_envs, env.robot.num_cables))
 
 

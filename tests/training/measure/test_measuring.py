@@ -10,7 +10,7 @@ import pytest
 from numpy.typing import NDArray
 
 from cdcsr.envs.disturbances import Disturbances
-from cdcsr.envs.gym_env import ReachVectorEnv
+from cdcsr.envs.gym_env import TaskVectorEnv
 from cdcsr.robot.description import Robot, load_robot
 from cdcsr.simulation.contract import Simulation
 from controllers.controller import Controller
@@ -39,7 +39,7 @@ class Still(Controller):
 
     name = "still"
 
-    def act(self, env: ReachVectorEnv, observation: Array, active: NDArray[np.bool_]) -> Array:
+    def act(self, env: TaskVectorEnv, observation: Array, active: NDArray[np.bool_]) -> Array:
         return np.zeros((env.num_envs, env.robot.num_cables))
 
 
@@ -143,12 +143,12 @@ def test_a_plant_adds_its_delay_to_the_disturbances(
 ) -> None:
     made: list[Any] = []
 
-    class Noted(ReachVectorEnv):
+    class Noted(TaskVectorEnv):
         def __init__(self, *arguments: Any, **options: Any) -> None:
             made.append(options["disturbances"])
             super().__init__(*arguments, **options)
 
-    monkeypatch.setattr(evaluation, "ReachVectorEnv", Noted)
+    monkeypatch.setattr(evaluation, "TaskVectorEnv", Noted)
     noise = Disturbances(action_noise=0.1, observation_delay=1)
     for plant in (None, SecondPlant(small, observation_delay=4)):
         evaluate(
@@ -164,7 +164,7 @@ def test_soft_cables_leave_the_engines_other_settings_alone(
     monkeypatch.setattr(
         Simulation, "use_own_settings", lambda _, numbers=True: told.append(numbers)
     )
-    for kind in {type(ReachVectorEnv(1, small).simulation)}:
+    for kind in {type(TaskVectorEnv(1, small).simulation)}:
         monkeypatch.setattr(kind, "use_own_settings", lambda _, numbers=True: told.append(numbers))
     for name, level in (("link_mass", 2.0), ("cable_softness", 2.0), ("engine_defaults", 1.0)):
         evaluate(

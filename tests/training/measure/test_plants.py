@@ -13,7 +13,7 @@ import pytest
 from numpy.typing import NDArray
 
 from backends.pybullet.simulation import PybulletSimulation
-from cdcsr.envs.gym_env import ReachVectorEnv
+from cdcsr.envs.gym_env import TaskVectorEnv
 from cdcsr.errors import CdcsrError, Diverged
 from cdcsr.robot.description import Robot, load_robot
 from cdcsr.simulation.contract import Simulation
@@ -87,7 +87,7 @@ class Clock(Controller):
 
     def act(
         self,
-        env: ReachVectorEnv,
+        env: TaskVectorEnv,
         observation: NDArray[Any],
         active: NDArray[np.bool_],  # noqa: ARG002
     ) -> NDArray[Any]:

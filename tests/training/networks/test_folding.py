@@ -10,7 +10,7 @@ import pytest
 import torch
 from numpy.typing import NDArray
 
-from cdcsr.envs.gym_env import ReachVectorEnv
+from cdcsr.envs.gym_env import TaskVectorEnv
 from cdcsr.errors import CdcsrError
 from cdcsr.robot.description import Robot, load_robot
 from cdcsr.tasks.catalogue import make_task
@@ -101,7 +101,7 @@ def test_what_is_collected_is_what_the_actor_does_in_the_folded_frame() -> None:
         Actor(robot, True, (16,), "relu", symmetry=True),
         dataclasses.replace(_LEARNER, capacity=2000),
     )
-    env = ReachVectorEnv(2, robot, "mujoco", "anchor", frame_skip=5, task="capture-drift")
+    env = TaskVectorEnv(2, robot, "mujoco", "anchor", frame_skip=5, task="capture-drift")
     collector = Collector(env, 0.0, 1, np.random.default_rng(0))
     collector.start(seed=0)
     collector._observation, _ = env.reset(
@@ -215,7 +215,7 @@ def test_images_of_a_target_are_reached_along_images_of_one_path(engine: str, na
     known = images(policy.robot)
     target = np.array([0.12, 0.21, 2.4])
     targets = np.array([target * image.signs[TARGET] for image in known])
-    env = ReachVectorEnv(len(known), policy.robot, engine, autoreset_mode="Disabled")
+    env = TaskVectorEnv(len(known), policy.robot, engine, autoreset_mode="Disabled")
     observation, _ = env.reset(options={"targets": targets})
     outcome = rollout(policy, env, observation)
     env.close()

@@ -16,7 +16,7 @@ from gymnasium.vector import AutoresetMode
 from numpy.typing import NDArray
 from safetensors.torch import load_file
 
-from cdcsr.envs.gym_env import ReachVectorEnv
+from cdcsr.envs.gym_env import TaskVectorEnv
 from cdcsr.errors import CdcsrError
 from cdcsr.robot.description import load_robot
 from tests.support.tiny import FRAME_SKIP
@@ -222,9 +222,9 @@ def test_practice_is_past_the_space_and_measured_within_it(
         far = np.abs(targets - anchor.center) - np.array(anchor.size) / 2
         return far.max(axis=1).clip(0).tolist()
 
-    step, measure, reset = Collector.step, Run._evaluate, ReachVectorEnv.reset
+    step, measure, reset = Collector.step, Run._evaluate, TaskVectorEnv.reset
 
-    def watched_reset(self: ReachVectorEnv, **options: Any) -> Any:
+    def watched_reset(self: TaskVectorEnv, **options: Any) -> Any:
         begun = reset(self, **options)
         if (
             self.metadata["autoreset_mode"] is AutoresetMode.DISABLED
@@ -243,7 +243,7 @@ def test_practice_is_past_the_space_and_measured_within_it(
 
     monkeypatch.setattr(Collector, "step", watched_step)
     monkeypatch.setattr(Run, "_evaluate", watched_measure)
-    monkeypatch.setattr(ReachVectorEnv, "reset", watched_reset)
+    monkeypatch.setattr(TaskVectorEnv, "reset", watched_reset)
     learner = dataclasses.replace(_SMALL, practice=0.5)
     train(_config(tmp_path / "run", demonstrations, space="anchor", learner=learner))
     assert 0.1 < max(seen["practised"]) < 0.5

@@ -11,7 +11,7 @@ import pytest
 from numpy.typing import NDArray
 
 from cdcsr.envs.disturbances import Disturbances
-from cdcsr.envs.gym_env import ReachVectorEnv
+from cdcsr.envs.gym_env import TaskVectorEnv
 from cdcsr.robot.description import Robot, load_robot
 from cdcsr.tasks.spaces import make_space
 from cdcsr.tasks.target_motion import make_motion
@@ -199,7 +199,7 @@ class Pulling(Controller):
         self.position: list[Array] = []
         self.quaternion: list[Array] = []
 
-    def act(self, env: ReachVectorEnv, observation: Array, active: NDArray[np.bool_]) -> Array:
+    def act(self, env: TaskVectorEnv, observation: Array, active: NDArray[np.bool_]) -> Array:
         state = env.simulation.state()
         self.tip.append(state.tip_position.copy())
         self.position.append(state.base_position.copy())

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from PIL import ImageColor
 
-from cdcsr.envs.gym_env import ReachVectorEnv
+from cdcsr.envs.gym_env import TaskVectorEnv
 from cdcsr.robot.description import load_robot
 from controllers.demonstrations import record
 from controllers.jacobian import JacobianController
@@ -28,10 +28,10 @@ ROBOT = load_robot("paper")
 )
 def test_distances_are_those_of_the_targets_that_are_measured_on(space: str, task: str) -> None:
     """The demonstrations' targets are a recording's own, the others those an environment draws for an evaluation."""
-    with_ten = ReachVectorEnv(10, ROBOT, "mujoco", "anchor", autoreset_mode="Disabled")
+    with_ten = TaskVectorEnv(10, ROBOT, "mujoco", "anchor", autoreset_mode="Disabled")
     episodes, _ = record(JacobianController(ROBOT), with_ten, 10, seed=0)
     shown = np.array([episode.target for episode in episodes])
-    env = ReachVectorEnv(
+    env = TaskVectorEnv(
         40, ROBOT, "mujoco", space, task=task, centers=shown, autoreset_mode="Disabled"
     )
     env.reset(seed=TEST_SEED)
