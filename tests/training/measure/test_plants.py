@@ -89,7 +89,7 @@ class Clock(Controller):
         self,
         env: TaskVectorEnv,
         observation: NDArray[Any],
-        active: NDArray[np.bool_],  # noqa: ARG002
+        active: NDArray[np.bool_],
     ) -> NDArray[Any]:
         self.times.append(float(env.simulation.state().time[0]))
         self.time_step = env.robot.time_step
