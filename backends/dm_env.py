@@ -25,6 +25,7 @@ from cdcsr.robot.description import Robot, load_robot
 from cdcsr.simulation.contract import Array, Simulation
 from cdcsr.simulation.engines import make_simulation
 from cdcsr.tasks.catalogue import Reach, actions_per_episode
+from cdcsr.tasks.observation import parts_of, tip_distance
 from cdcsr.tasks.spaces import Space, make_space
 from cdcsr.tasks.task import Reward
 
@@ -179,7 +180,7 @@ class ReachTask(control.Task):
 
     def get_observation(self, physics: SimulationPhysics) -> OrderedDict[str, Array]:
         """Eq. (1) by parts; joined in this order they are the observation of `cdcsr/Reach-v0`."""
-        parts = self._task.parts(physics.measured, self.target[None], self._distance(physics))
+        parts = parts_of(physics.measured, self.target[None], self._distance(physics))
         return OrderedDict((name, part[0].copy()) for name, part in parts.items())
 
     def get_reward(self, physics: SimulationPhysics) -> float:
@@ -193,7 +194,7 @@ class ReachTask(control.Task):
         return 1.0 if self._actions_taken >= self._max_actions else None
 
     def _distance(self, physics: SimulationPhysics) -> Array:
-        return self._task.distance(physics.measured, self.target[None])
+        return tip_distance(physics.measured, self.target[None])
 
 
 class ReachEnvironment(control.Environment):

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from cdcsr.envs.gym_env import TaskVectorEnv
 from cdcsr.errors import CdcsrError
+from cdcsr.tasks.observation import TARGET
 from controllers.controller import Controller
 
 Array = NDArray[np.float64]
@@ -238,7 +239,7 @@ def load(
         Episode(
             np.asarray(e.observations),
             np.asarray(e.actions),
-            np.asarray(e.observations)[0, 6:9],
+            np.asarray(e.observations)[0, TARGET],
             np.asarray(e.rewards, dtype=np.float64),
             bool(np.asarray(e.terminations)[-1]),
         )

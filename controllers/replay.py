@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from cdcsr.robot.description import Robot
 from cdcsr.simulation.engines import make_simulation
+from cdcsr.tasks.observation import TIP_POSITION
 from controllers.demonstrations import Episode
 
 Array = NDArray[np.float64]
@@ -57,6 +58,6 @@ def replay(robot: Robot, backend: str, episodes: list[Episode], frame_skip: int 
         simulation.step(command, frame_skip)
         tip = simulation.state().tip_position
         for i in np.flatnonzero(running):
-            distances[i, k] = np.linalg.norm(tip[i] - episodes[i].observations[k + 1, 0:3])
+            distances[i, k] = np.linalg.norm(tip[i] - episodes[i].observations[k + 1, TIP_POSITION])
     simulation.close()
     return Replayed(backend, np.nanmean(distances, axis=1), np.nanmax(distances, axis=1))

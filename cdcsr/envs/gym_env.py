@@ -18,7 +18,7 @@ from cdcsr.simulation.contract import Snapshot, State
 from cdcsr.simulation.engines import make_simulation
 from cdcsr.simulation.randomization import Randomization
 from cdcsr.tasks.catalogue import actions_per_episode, make_task
-from cdcsr.tasks.observation import observation_size
+from cdcsr.tasks.observation import observation_size, observe, tip_distance
 from cdcsr.tasks.spaces import make_space
 from cdcsr.tasks.target_motion import MotionName, make_motion
 from cdcsr.tasks.task import Reward, Task, Verdict
@@ -146,7 +146,7 @@ class TaskVectorEnv(VectorEnv[Array, Array, NDArray[Any]]):
         fresh = given.get("reset_mask", np.ones(self.num_envs)).astype(np.bool_)
         observation = self._begin(fresh, given.get("targets"))
         state = self.simulation.state()
-        distance = self.task.distance(state, self.targets)
+        distance = tip_distance(state, self.targets)
         verdict = self.task.judge(state, self.target_velocity, distance, self._memory, count=False)
         return observation, self._info(state, distance, verdict)
 
@@ -163,9 +163,9 @@ class TaskVectorEnv(VectorEnv[Array, Array, NDArray[Any]]):
                 )
         self.actions_taken += 1
         state = self.simulation.state()
-        distance = self.task.distance(state, self.targets)
+        distance = tip_distance(state, self.targets)
         verdict = self.task.judge(state, self.target_velocity, distance, self._memory)
-        observation = self._channel.observe(self.task.observe(state, self.targets, distance))
+        observation = self._channel.observe(observe(state, self.targets, distance))
         reward = self.task.reward(distance, verdict.rewarded)
         truncated = ~verdict.terminated & (self.actions_taken >= self.max_actions)
         info = self._info(state, distance, verdict)
@@ -252,10 +252,7 @@ class TaskVectorEnv(VectorEnv[Array, Array, NDArray[Any]]):
             count[ids] = 0
         self._begun = True
         state = self.simulation.state()
-        observation = self.task.observe(
-            state, self.targets, self.task.distance(state, self.targets)
-        )
-        return self._channel.start(observation, fresh)
+        return self._channel.start(observe(state, self.targets), fresh)
 
     def _info(self, state: State, distance: Array, verdict: Verdict) -> dict[str, Any]:
         info = {"is_success": verdict.success, "distance": distance}

@@ -1,27 +1,213 @@
-"""Eq. (1) of the BATD3 paper as an array: where its parts are, and how to change its target."""
+"""Eq. (1) of the BATD3 paper (Tian et al., section III-A): what a policy observes.
+
+:data:`PARTS` is the only place that knows the layout of the observation. Everything is in the world
+frame and in SI units. If the target moves, the observation holds its position, not its velocity.
+"""
 
 from __future__ import annotations
+
+from dataclasses import dataclass, fields
+from itertools import accumulate
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
 from cdcsr.robot.description import Robot
+from cdcsr.simulation.contract import State
 
 Array = NDArray[np.float64]
 
-TIP_POSITION, TIP_VELOCITY, TARGET, DISTANCE = slice(0, 3), slice(3, 6), slice(6, 9), 9
-BASE_POSITION, BASE_QUATERNION = slice(10, 13), slice(13, 17)
-"""Where parts of eq. (1) are in the observation."""
+Kind = Literal["position", "velocity", "scalar", "quaternion", "axial vector", "per cable"]
+"""What a mirror does to a part depends on this; an axial vector is, for example, an angular
+velocity."""
+_WIDTHS = {
+    "position": 3,
+    "velocity": 3,
+    "scalar": 1,
+    "quaternion": 4,
+    "axial vector": 3,
+    "per cable": 0,
+}
+
+
+@dataclass(frozen=True)
+class Part:
+    """One quantity of eq. (1)."""
+
+    name: str
+    """The field of :class:`State` that holds it, or `target` or `distance`."""
+    kind: Kind
+    scale: float
+    """The range in which a network should tell values apart, in the quantity's own unit."""
+    centre: Literal["zero", "workspace", "identity"] = "zero"
+    """The value that a network sees as zero: zero, the middle of the robot's workspace in [m], or
+    the unit quaternion that turns nothing."""
+
+    def width(self, num_cables: int) -> int:
+        """Return how many numbers of the observation this part takes."""
+        return num_cables if self.kind == "per cable" else _WIDTHS[self.kind]
+
+
+# The scales are wide on purpose: a base position scaled to the millimetres that it moves would make
+# a policy that fails when its measurement is noisy by centimetres.
+PARTS = (
+    Part("tip_position", "position", 0.3, "workspace"),
+    Part("tip_velocity", "velocity", 1.0),
+    Part("target", "position", 0.3, "workspace"),
+    Part("distance", "scalar", 0.3),
+    Part("base_position", "position", 0.1),
+    Part("base_quaternion", "quaternion", 0.1, "identity"),
+    Part("base_velocity", "velocity", 0.1),
+    Part("base_angular_velocity", "axial vector", 0.1),
+    Part("cable_travel", "per cable", 0.03),
+)
+"""The parts of eq. (1) in order. Only the last one has a width that depends on the robot."""
+
+_ENDS = list(accumulate(part.width(0) for part in PARTS))
+SLICES = {
+    part.name: slice(end - part.width(0), None if part.kind == "per cable" else end)
+    for part, end in zip(PARTS, _ENDS, strict=True)
+}
+"""Where each part is in an observation, by name."""
+TIP_POSITION, TIP_VELOCITY = SLICES["tip_position"], SLICES["tip_velocity"]
+TARGET, DISTANCE = SLICES["target"], SLICES["distance"].start
+"""The distance is one column; the others are slices."""
+BASE_POSITION, BASE_QUATERNION = SLICES["base_position"], SLICES["base_quaternion"]
+CABLE_TRAVEL = SLICES["cable_travel"]
+
+
+def observation_size(robot: Robot) -> int:
+    """Return how many numbers eq. (1) has for a robot."""
+    return sum(part.width(robot.num_cables) for part in PARTS)
+
+
+def tip_distance(state: State, target: Array) -> Array:
+    """Return the distances from tip to target, shape (num,), in [m]; `target` is (num, 3)."""
+    apart = target - state.tip_position
+    return np.sqrt(np.einsum("ni,ni->n", apart, apart))
+
+
+def parts_of(state: State, target: Array, distance: Array) -> dict[str, Array]:
+    """Return the parts of eq. (1) by name and in order.
+
+    Args:
+        state: the measured state of num copies.
+        target: target positions, shape (num, 3), in [m].
+        distance: what :func:`tip_distance` returns for them, shape (num,), in [m].
+
+    Returns:
+        Arrays of shape (num, width of the part).
+    """
+    given = {"target": target, "distance": distance[:, None]}
+    return {
+        part.name: given[part.name] if part.name in given else getattr(state, part.name)
+        for part in PARTS
+    }
+
+
+def observe(state: State, target: Array, distance: Array | None = None) -> Array:
+    """Build eq. (1) from a state.
+
+    Args:
+        state: the measured state of num copies.
+        target: target positions, shape (num, 3), in [m].
+        distance: what :func:`tip_distance` returns for them, if it is known already.
+
+    Returns:
+        Shape (num, observation size).
+    """
+    if distance is None:
+        distance = tip_distance(state, target)
+    return np.concatenate(list(parts_of(state, target, distance).values()), axis=1)
+
+
+def to_state(observation: Array, time: Array, robot: Robot) -> State:
+    """Return the state that an observation tells of: the inverse of :func:`observe`.
+
+    Args:
+        observation: shape (num, observation size).
+        time: of each copy, shape (num,), in [s].
+        robot: the robot that was observed.
+
+    Returns:
+        A state whose cable tension, joint angles and joint rates are NaN, as eq. (1) does not
+        hold them.
+    """
+    num = len(observation)
+    hinges = np.full((num, robot.num_hinges), np.nan)
+    unknown = {
+        "cable_tension": np.full((num, robot.num_cables), np.nan),
+        "joint_angles": hinges,
+        "joint_rates": hinges.copy(),
+    }
+    known = {
+        field.name: observation[:, SLICES[field.name]]
+        for field in fields(State)
+        if field.name in SLICES
+    }
+    return State(time=time, **known, **unknown)
 
 
 def with_target(observations: Array, target: Array) -> Array:
-    """The same observations, shape (..., 23 + C), with a target elsewhere, shape (3,), and the distance to it."""
+    """Return the same observations with another target, and the distance to it.
+
+    Args:
+        observations: shape (..., observation size).
+        target: shape (3,), in [m].
+    """
     moved = np.array(observations)
     moved[..., TARGET] = target
     moved[..., DISTANCE] = np.linalg.norm(target - moved[..., TIP_POSITION], axis=-1)
     return moved
 
 
-def observation_size(robot: Robot) -> int:
-    """Length of eq. (1)."""
-    return 23 + robot.num_cables
+def input_offset(robot: Robot) -> Array:
+    """Return the value of each number of eq. (1) that a network sees as zero, shape (size,)."""
+    centres = {"workspace": robot.workspace.center, "identity": (1.0, 0.0, 0.0, 0.0)}
+    return np.concatenate(
+        [centres.get(part.centre, np.zeros(part.width(robot.num_cables))) for part in PARTS]
+    )
+
+
+def input_scale(robot: Robot) -> Array:
+    """Return the amount by which each number of eq. (1) is divided for a network, shape (size,)."""
+    widths = [part.width(robot.num_cables) for part in PARTS]
+    return np.repeat([part.scale for part in PARTS], widths)
+
+
+def mirror_signs(x: int, y: int, num_cables: int) -> Array:
+    """Return the factors that a mirror image puts on the numbers of eq. (1), shape (size,).
+
+    Rates of turning and the vector part of a quaternion are axial vectors: a mirror turns over
+    their components along the other two axes.
+
+    Args:
+        x: -1 if the plane x = 0 is a mirror, else 1.
+        y: -1 if the plane y = 0 is a mirror, else 1.
+        num_cables: of the robot; their order changes, their travel keeps its sign.
+    """
+    polar, axial = [x, y, 1], [y, x, x * y]
+    signs = {
+        "position": polar,
+        "velocity": polar,
+        "scalar": [1],
+        "quaternion": [1, *axial],
+        "axial vector": axial,
+        "per cable": [1] * num_cables,
+    }
+    return np.concatenate([signs[part.kind] for part in PARTS]).astype(np.float64)
+
+
+def mirror_order(cables: list[int]) -> NDArray[np.int64]:
+    """Return where a mirror image takes each number of eq. (1) from, shape (size,).
+
+    Args:
+        cables: the cable that each cable is the image of.
+    """
+    return np.concatenate(
+        [
+            first + (np.array(cables) if part.kind == "per cable" else np.arange(part.width(0)))
+            for part, first in zip(PARTS, (SLICES[part.name].start for part in PARTS), strict=True)
+        ]
+    ).astype(np.int64)

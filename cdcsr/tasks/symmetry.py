@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cdcsr.robot.description import Robot
-from cdcsr.tasks.observation import observation_size
+from cdcsr.tasks.observation import mirror_order, mirror_signs
 
 Array = NDArray[np.float64]
 
@@ -46,12 +46,11 @@ class Image:
 def images(robot: Robot) -> list[Image]:
     """All ways in which a robot is its own image, the identity first."""
     found = []
-    first = observation_size(robot) - robot.num_cables
     for name, (x, y) in _AXES.items():
         cables = _cables(robot, x, y)
         if cables is not None:
-            order = np.array([*range(first), *(first + cable for cable in cables)])
-            found.append(Image(name, _signs(x, y, robot.num_cables), order, np.array(cables)))
+            signs = mirror_signs(x, y, robot.num_cables)
+            found.append(Image(name, signs, mirror_order(cables), np.array(cables)))
     return found
 
 
@@ -69,11 +68,3 @@ def _cables(robot: Robot, x: int, y: int) -> list[int] | None:
             return None
         cables += (len(cables) + apart.argmin(0)).tolist()
     return cables
-
-
-def _signs(x: int, y: int, cables: int) -> Array:
-    """Of eq. (1). Rates of turning, and the vector part of a quaternion, are mirrored as the other two axes are."""
-    vector, turning = [x, y, 1], [y, x, x * y]
-    return np.array(
-        [*vector * 3, 1, *vector, 1, *turning, *vector, *turning, *[1] * cables], dtype=np.float64
-    )

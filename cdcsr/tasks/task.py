@@ -38,9 +38,7 @@ class Verdict(NamedTuple):
 class Task(ABC):
     """Something to do with a target, in one episode.
 
-    The observation is eq. (1) of the BATD3 paper: tip position and velocity, target, distance, base position,
-    quaternion (w-x-y-z), velocity and angular velocity, and cable travel; world frame, SI units. Of a target that
-    moves it shows where it is, and not how it moves.
+    What is observed is the same in every task: see :mod:`cdcsr.tasks.observation`.
     """
 
     threshold: float = 0.03
@@ -81,31 +79,6 @@ class Task(ABC):
             parts.append(f"{1e3 * self.threshold:g}mm")
         name = "-".join(parts)
         return {"reach-quiet": "quiet", "reach-10mm": "precise"}.get(name, name)
-
-    # -- what is seen ---------------------------------------------------------------------------------------
-
-    def distance(self, state: State, target: Array) -> Array:
-        """From tip to target, shape (num,), in [m]."""
-        apart = target - state.tip_position
-        return np.sqrt(np.einsum("ni,ni->n", apart, apart))
-
-    def parts(self, state: State, target: Array, distance: Array) -> dict[str, Array]:
-        """The parts of eq. (1) by name, in its order, each of shape (num, ...)."""
-        return {
-            "tip_position": state.tip_position,
-            "tip_velocity": state.tip_velocity,
-            "target": target,
-            "distance": distance[:, None],
-            "base_position": state.base_position,
-            "base_quaternion": state.base_quaternion,
-            "base_velocity": state.base_velocity,
-            "base_angular_velocity": state.base_angular_velocity,
-            "cable_travel": state.cable_travel,
-        }
-
-    def observe(self, state: State, target: Array, distance: Array) -> Array:
-        """Eq. (1), shape (num, 23 + C)."""
-        return np.concatenate(list(self.parts(state, target, distance).values()), axis=1)
 
     # -- how it is going ------------------------------------------------------------------------------------
 

@@ -11,6 +11,7 @@ import pytest
 from cdcsr.envs.gym_env import TaskVectorEnv
 from cdcsr.errors import CdcsrError
 from cdcsr.robot.description import load_robot
+from cdcsr.tasks.observation import TARGET
 from cdcsr.tasks.spaces import demonstration_targets
 from controllers.demonstrations import load, record
 from controllers.jacobian import JacobianController
@@ -120,9 +121,9 @@ def test_a_capture_is_demonstrated_and_read_back(tmp_path: Path) -> None:
         assert episode.terminated
         assert episode.rewards.tolist() == [0.0] * (episode.length - 1) + [1.0]
         assert (episode.observations[-20:, 9] <= 0.03).all()
-        moved = np.diff(episode.observations[:, 6:9], axis=0)
+        moved = np.diff(episode.observations[:, TARGET], axis=0)
         np.testing.assert_allclose(moved, np.broadcast_to(moved[0], moved.shape), atol=1e-12)
-        np.testing.assert_array_equal(episode.target, episode.observations[0, 6:9])
+        np.testing.assert_array_equal(episode.target, episode.observations[0, TARGET])
 
 
 def test_a_follower_is_demonstrated_to_the_end_of_time(tmp_path: Path) -> None:

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from cdcsr.envs.disturbances import Disturbances
 from cdcsr.envs.gym_env import TaskVectorEnv
-from cdcsr.tasks.observation import DISTANCE
+from cdcsr.tasks.observation import DISTANCE, TIP_POSITION, observation_size
 from controllers import search
 from controllers.controller import Controller
 from controllers.demonstrations import Rollout, rollout
@@ -56,7 +56,7 @@ def test_offsets_are_added_held_and_clipped_for_each_copy() -> None:
             expected[0, 1] = -0.5
         else:
             expected[1, 2], expected[1, 0] = -5.0, 0.0
-        commands = nudged.act(env, np.zeros((2, 31)), np.ones(2, bool))
+        commands = nudged.act(env, np.zeros((2, observation_size(env.robot))), np.ones(2, bool))
         np.testing.assert_array_equal(commands, expected)
         env.step(commands)
     env.close()
@@ -78,8 +78,8 @@ def test_a_target_that_is_known_to_be_reachable_is_come_near_to() -> None:
     env = _envs(24, 60)
     probe = _envs(1, 60, threshold=1e-9)
     observation, _ = probe.reset(seed=0)
-    start = observation[0, :3].copy()
-    end = rollout(Slack(5.0), probe, observation).observations[0, -1, :3]
+    start = observation[0, TIP_POSITION].copy()
+    end = rollout(Slack(5.0), probe, observation).observations[0, -1, TIP_POSITION]
     assert np.linalg.norm(end - start) > 0.1
     alone, best = improve(Slack(), env, end, 12, 0)
     assert (alone.reached, alone.length) == (0, 60)

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from cdcsr.envs.disturbances import Disturbances
 from cdcsr.envs.gym_env import TaskVectorEnv
+from cdcsr.tasks.observation import BASE_POSITION, SLICES
 from controllers import search
 from controllers.controller import Controller
 from controllers.demonstrations import Rollout
@@ -121,13 +122,13 @@ def test_the_middle_and_width_of_a_round_are_of_the_best_sixth_of_the_one_before
 def test_each_try_has_disturbances_of_its_own(monkeypatch: pytest.MonkeyPatch) -> None:
     known = Known(lambda plan: (100.0, 0.0))  # noqa: ARG005
     improved(monkeypatch, known, 3, noise=0.1)
-    firsts = [observation[0, 10:13].tolist() for observation in known.observations]
+    firsts = [observation[0, BASE_POSITION].tolist() for observation in known.observations]
     assert (
         len(firsts) == 1 + 3 + 2 + 1
     )  # alone, the rounds, two that were found, and the best of all anew
     assert len({tuple(first) for first in firsts}) == len(firsts)
     for observation in known.observations:
-        np.testing.assert_array_equal(observation[:, 6:9], np.tile(TARGET, (NUM, 1)))
+        np.testing.assert_array_equal(observation[:, SLICES["target"]], np.tile(TARGET, (NUM, 1)))
 
 
 def test_an_outcome_is_of_all_tries() -> None:

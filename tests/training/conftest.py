@@ -10,6 +10,7 @@ import pytest
 import torch
 
 from cdcsr.robot.description import Robot, load_robot
+from cdcsr.tasks.observation import observation_size
 from tests.support.small_study import small_study
 from tests.support.tiny import FRAME_SKIP
 from training.algorithms.td3 import TD3
@@ -29,7 +30,7 @@ def small_robot() -> Robot:
 def small_batch(small_robot: Robot) -> Batch:
     """Four transitions, of which one ends an episode."""
     generator = torch.Generator().manual_seed(0)
-    size, cables = 23 + small_robot.num_cables, small_robot.num_cables
+    size, cables = observation_size(small_robot), small_robot.num_cables
 
     def uniform(*shape: int) -> torch.Tensor:
         return torch.rand(*shape, generator=generator) * 2 - 1

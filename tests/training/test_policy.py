@@ -12,6 +12,7 @@ import torch
 
 from cdcsr.errors import CdcsrError
 from cdcsr.robot.description import load_robot
+from cdcsr.tasks.observation import observation_size
 from training.measure.evaluation import evaluate
 from training.networks.actor_critic import Actor
 from training.policy import Policy, find_policy, load_policy
@@ -32,7 +33,7 @@ def test_loaded_policy_acts_like_the_saved(folder: Path) -> None:
     robot = load_robot("planar-single")
     torch.manual_seed(0)
     actor, policy = Actor(robot, True, (8, 8), "relu"), load_policy(folder)
-    observation = torch.randn(5, 23 + robot.num_cables)
+    observation = torch.randn(5, observation_size(robot))
     torch.testing.assert_close(
         policy.actor.command(observation), actor.command(observation), rtol=0, atol=0
     )

@@ -8,7 +8,13 @@ import torch
 from torch import Tensor, nn
 
 from cdcsr.robot.description import Robot
-from cdcsr.tasks.observation import TARGET, TIP_POSITION, observation_size
+from cdcsr.tasks.observation import (
+    TARGET,
+    TIP_POSITION,
+    input_offset,
+    input_scale,
+    observation_size,
+)
 from training.networks.compiled_ensemble import Ensemble
 from training.networks.mirror import Folding
 
@@ -33,21 +39,8 @@ class Encoder(nn.Module):
 
     def __init__(self, robot: Robot, with_error: bool) -> None:
         super().__init__()
-        center, cables = list(robot.workspace.center), robot.num_cables
-        # Tip position and velocity, target, distance, base position, quaternion, velocity, rates, travel.
-        offset = [*center, 0, 0, 0, *center, 0, 0, 0, 0, 1, 0, 0, 0, *[0] * 6, *[0] * cables]
-        scale = [
-            *[0.3] * 3,
-            *[1] * 3,
-            *[0.3] * 3,
-            0.3,
-            *[0.1] * 3,
-            *[0.1] * 4,
-            *[0.1] * 6,
-            *[0.03] * cables,
-        ]
-        self.register_buffer("offset", torch.tensor(offset, dtype=torch.float32))
-        self.register_buffer("scale", torch.tensor(scale, dtype=torch.float32))
+        self.register_buffer("offset", torch.tensor(input_offset(robot), dtype=torch.float32))
+        self.register_buffer("scale", torch.tensor(input_scale(robot), dtype=torch.float32))
         self.with_error = with_error
         self.size = observation_size(robot) + 3 * with_error
 

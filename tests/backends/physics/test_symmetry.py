@@ -7,7 +7,7 @@ import pytest
 
 from cdcsr.envs.gym_env import TaskVectorEnv
 from cdcsr.robot.description import Robot, load_robot
-from cdcsr.tasks.observation import DISTANCE, TARGET
+from cdcsr.tasks.observation import DISTANCE, TARGET, TIP_POSITION
 from cdcsr.tasks.symmetry import images
 
 _ACTIONS, _HOLD = 120, 10
@@ -25,7 +25,7 @@ def test_what_the_image_does(engine: str, robot: Robot) -> None:
         if action % _HOLD == 0:
             command = -eta * rng.random(robot.num_cables) * (rng.random(robot.num_cables) > 0.5)
         observation, *_ = env.step(np.array([image.command(command) for image in known]))
-        moved = np.maximum(moved, np.abs(observation[0] - start[0])[:3])
+        moved = np.maximum(moved, np.abs(observation[0] - start[0])[TIP_POSITION])
         for image, seen in zip(known, observation, strict=True):
             expected = image.observation(observation[0])
             expected[TARGET], expected[DISTANCE] = (

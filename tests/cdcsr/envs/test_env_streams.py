@@ -15,6 +15,7 @@ from cdcsr.simulation.engines import make_simulation
 from cdcsr.simulation.plant import Parameters
 from cdcsr.simulation.randomization import Randomization
 from cdcsr.tasks.catalogue import make_task
+from cdcsr.tasks.observation import BASE_POSITION, CABLE_TRAVEL, TIP_POSITION, observation_size
 from cdcsr.tasks.spaces import make_space
 
 SMALL = load_robot("planar-single")
@@ -77,7 +78,7 @@ def test_a_task_is_told_how_the_target_moves(speed: float, expected: bool) -> No
     task = replace(make_task("capture", motion="line"), speed=speed)
     env = TaskVectorEnv(2, SMALL, task=task, autoreset_mode="Disabled")
     observation, _ = env.reset(seed=0)
-    _, info = env.reset(options={"targets": observation[:, :3]})
+    _, info = env.reset(options={"targets": observation[:, TIP_POSITION]})
     assert info["on_target"].tolist() == [expected] * 2
     for _ in range(5):
         *_, info = env.step(np.zeros((2, SMALL.num_cables)))
@@ -89,9 +90,10 @@ def test_a_task_is_told_how_the_target_moves(speed: float, expected: bool) -> No
 def test_until_something_late_arrives_the_first_observation_stands_as_it_was_seen() -> None:
     """Noise is of the measurement, and what is late has been measured already."""
     through = Channel(Disturbances(base_noise=0.1, observation_delay=3), np.random.default_rng(0))
-    sent = np.arange(6 * 2 * 31, dtype=float).reshape(6, 2, 31)
+    size = observation_size(load_robot("paper"))
+    sent = np.arange(6 * 2 * size, dtype=float).reshape(6, 2, size)
     first = through.start(sent[0], np.ones(2, dtype=bool))
-    assert (first[:, 10:13] != sent[0, :, 10:13]).all()
+    assert (first[:, BASE_POSITION] != sent[0, :, BASE_POSITION]).all()
     for row in sent[1:4]:
         np.testing.assert_array_equal(through.observe(row), first)
     assert (through.observe(sent[4]) != first).any()
@@ -116,10 +118,10 @@ def test_an_episode_is_on_its_plant_from_its_first_step_on(backend: str) -> None
             observation, *_ = env.step(command)
             plain.step(command)
             np.testing.assert_allclose(
-                observation[:, :3], plain.state().tip_position, rtol=0, atol=1e-9
+                observation[:, TIP_POSITION], plain.state().tip_position, rtol=0, atol=1e-9
             )
             np.testing.assert_allclose(
-                observation[:, 23:], plain.state().cable_travel, rtol=0, atol=1e-9
+                observation[:, CABLE_TRAVEL], plain.state().cable_travel, rtol=0, atol=1e-9
             )
         plain.close()
         env.step(commands[5])

@@ -15,8 +15,9 @@ from gymnasium.wrappers.vector import DictInfoToList
 from cdcsr.envs.disturbances import Disturbances
 from cdcsr.envs.gym_env import TaskEnv, TaskVectorEnv
 from cdcsr.errors import CdcsrError
-from cdcsr.robot.description import shipped_robots
+from cdcsr.robot.description import load_robot, shipped_robots
 from cdcsr.simulation.contract import Array
+from cdcsr.tasks.observation import BASE_POSITION, CABLE_TRAVEL, DISTANCE, TARGET, observation_size
 
 both = pytest.mark.parametrize("backend", ["mujoco", "pybullet"])
 TIP = [0.0, 0.0, 2.7]
@@ -54,7 +55,8 @@ def test_gymnasium_finds_nothing_wrong(robot: str, backend: str) -> None:
 def test_spaces_are_those_of_the_paper() -> None:
     env = gymnasium.make("cdcsr/Reach-v0")
     assert env.action_space == gymnasium.spaces.Box(-5.0, 0.0, (8,), np.float64)
-    assert env.observation_space == gymnasium.spaces.Box(-np.inf, np.inf, (31,), np.float64)
+    seen = (observation_size(load_robot("paper")),)
+    assert env.observation_space == gymnasium.spaces.Box(-np.inf, np.inf, seen, np.float64)
     env.close()
 
 
@@ -73,8 +75,8 @@ def test_the_same_seed_gives_the_same_episodes(backend: str) -> None:
 
     first = run(5)
     np.testing.assert_allclose(run(5), first, rtol=0, atol=tolerance(backend))
-    assert (first[0, 6:9] != first[41, 6:9]).all()  # the second episode has another target
-    assert (first[0, 6:9] != run(6)[0, 6:9]).all()
+    assert (first[0, TARGET] != first[41, TARGET]).all()  # the second episode has another target
+    assert (first[0, TARGET] != run(6)[0, TARGET]).all()
 
 
 # --- episodes by hand --------------------------------------------------------------------------------------------
@@ -134,13 +136,13 @@ def test_actions_beyond_the_bounds_are_clipped() -> None:
         rows.append([env.step(np.array(action, dtype=float))[0] for _ in range(20)])
         env.close()
     np.testing.assert_array_equal(rows[0], rows[1])
-    assert rows[0][-1][23] < -1e-3  # and something was pulled
+    assert rows[0][-1][CABLE_TRAVEL.start] < -1e-3  # and something was pulled
 
 
 def test_centers_and_threshold_reach_space_and_task() -> None:
     env = TaskVectorEnv(20, space="floating", centers=np.array([TIP]), threshold=0.005)
     observation, info = env.reset(seed=0)
-    distance = np.linalg.norm(observation[:, 6:9] - TIP, axis=1)
+    distance = np.linalg.norm(observation[:, TARGET] - TIP, axis=1)
     assert distance.max() <= 0.01
     np.testing.assert_array_equal(info["is_success"], distance <= 0.005)
     assert 0 < info["is_success"].sum() < 20
@@ -153,7 +155,7 @@ def test_centers_and_threshold_reach_space_and_task() -> None:
 def test_vector_spaces_are_batches(vector: VectorEnv) -> None:
     assert vector.num_envs == 5
     assert vector.action_space.shape == (5, 8)
-    assert vector.observation_space.shape == (5, 31)
+    assert vector.observation_space.shape == (5, observation_size(load_robot("paper")))
     assert vector.metadata["autoreset_mode"] is AutoresetMode.SAME_STEP
     observation, info = vector.reset(seed=1)
     assert observation in vector.observation_space
@@ -201,11 +203,11 @@ def test_a_finished_episode_gives_way_to_the_next_in_the_same_step(vector: Vecto
     np.testing.assert_array_equal(info["is_success"], third)
     np.testing.assert_array_equal(info["_final_obs"], third)
     np.testing.assert_array_equal(info["_final_info"], third)
-    np.testing.assert_array_equal(info["final_obs"][3, 6:9], TIP)
+    np.testing.assert_array_equal(info["final_obs"][3, TARGET], TIP)
     assert info["final_info"]["is_success"][3]
     assert info["final_info"]["distance"][3] == pytest.approx(0, abs=1e-9)
-    np.testing.assert_array_equal(observation[~third, 6:9], targets[~third])
-    assert observation[3, 9] > 0.1  # a new target, in the Anchor Space
+    np.testing.assert_array_equal(observation[~third, TARGET], targets[~third])
+    assert observation[3, DISTANCE] > 0.1  # a new target, in the Anchor Space
 
     for _ in range(4):
         observation, _, terminated, truncated, info = vector.step(idle)
@@ -217,11 +219,11 @@ def test_a_finished_episode_gives_way_to_the_next_in_the_same_step(vector: Vecto
     assert not terminated.any()
     np.testing.assert_array_equal(info["_final_obs"], ~third)
     np.testing.assert_array_equal(info["_final_info"], ~third)
-    assert (info["final_obs"][:, 23] < 0).all()  # where the pulled slider was
-    np.testing.assert_array_equal(observation[:, 23] < 0, third)
+    assert (info["final_obs"][:, CABLE_TRAVEL.start] < 0).all()  # where the pulled slider was
+    np.testing.assert_array_equal(observation[:, CABLE_TRAVEL.start] < 0, third)
     _, _, _, truncated, info = vector.step(idle)
     np.testing.assert_array_equal(truncated, third)
-    assert info["final_obs"][3, 23] < 0  # no other copy's end has moved this one
+    assert info["final_obs"][3, CABLE_TRAVEL.start] < 0  # no other copy's end has moved this one
 
 
 def test_infos_can_be_told_apart_by_gymnasium(vector: VectorEnv) -> None:
@@ -247,12 +249,14 @@ def test_without_autoreset_episodes_go_on_until_told() -> None:
     mask = np.array([False, True, False])
     after, info = env.reset(options={"reset_mask": mask})
     np.testing.assert_array_equal(after[~mask], before[~mask])
-    assert (after[1, 23:] == 0).all()
-    assert after[1, 6:9].tolist() != [0, 1, 1]
-    np.testing.assert_allclose(info["distance"], after[:, 9])
+    assert (after[1, CABLE_TRAVEL] == 0).all()
+    assert after[1, TARGET].tolist() != [0, 1, 1]
+    np.testing.assert_allclose(info["distance"], after[:, DISTANCE])
     after, _, _, truncated, _ = env.step(pull)
     np.testing.assert_array_equal(truncated, ~mask)
-    assert (after[~mask, 23] < after[mask, 23]).all()  # the others were pulled for three steps
+    assert (
+        after[~mask, CABLE_TRAVEL.start] < after[mask, CABLE_TRAVEL.start]
+    ).all()  # the others were pulled for three steps
     env.close()
 
 
@@ -280,7 +284,7 @@ def test_the_seed_decides_the_disturbances_too() -> None:
         runs.append([first, *(env.step(np.full((3, 8), -1.0))[0] for _ in range(10))])
     env.close()
     np.testing.assert_array_equal(runs[0], runs[1])
-    assert (runs[0][0][:, 10:13] != runs[2][0][:, 10:13]).all()
+    assert (runs[0][0][:, BASE_POSITION] != runs[2][0][:, BASE_POSITION]).all()
 
 
 # --- mistakes ----------------------------------------------------------------------------------------------------

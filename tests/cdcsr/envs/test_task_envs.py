@@ -15,6 +15,7 @@ from cdcsr.envs.rng_state import pack_generator, unpack_generator
 from cdcsr.errors import CdcsrError
 from cdcsr.simulation.plant import Parameters
 from cdcsr.tasks.catalogue import TASKS
+from cdcsr.tasks.observation import DISTANCE, TARGET, TIP_POSITION, observation_size
 
 engines = pytest.mark.parametrize("backend", ["mujoco", "pybullet"])
 every_task = pytest.mark.parametrize("task", TASKS)
@@ -63,19 +64,19 @@ def test_the_target_is_where_its_motion_takes_it_and_the_policy_sees_where(
     for skip in (1, 4):
         env = TaskVectorEnv(3, backend=backend, task=task, frame_skip=skip, **_SMALL)
         observation, info = env.reset(seed=3)
-        rows = [observation[:, 6:9]]
+        rows = [observation[:, TARGET]]
         for _ in range(40 // skip):
             observation, _, terminated, truncated, info = env.step(
                 np.zeros((3, env.robot.num_cables))
             )
             assert not (terminated | truncated).any()
-            np.testing.assert_array_equal(observation[:, 6:9], env.targets)
-            distance = np.linalg.norm(observation[:, 0:3] - env.targets, axis=1)
-            np.testing.assert_allclose(observation[:, 9], distance, atol=1e-12)
-            np.testing.assert_array_equal(info["distance"], observation[:, 9])
-            rows.append(observation[:, 6:9])
+            np.testing.assert_array_equal(observation[:, TARGET], env.targets)
+            distance = np.linalg.norm(observation[:, TIP_POSITION] - env.targets, axis=1)
+            np.testing.assert_allclose(observation[:, DISTANCE], distance, atol=1e-12)
+            np.testing.assert_array_equal(info["distance"], observation[:, DISTANCE])
+            rows.append(observation[:, TARGET])
         seen.append(np.array(rows))
-        assert observation.shape == (3, 23 + env.robot.num_cables)
+        assert observation.shape == (3, observation_size(env.robot))
         env.close()
     np.testing.assert_allclose(seen[0][::4], seen[1], rtol=0, atol=1e-12)
     assert (seen[0][0] != seen[0][-1]).any() == (TASKS[task].motion != "rest")

@@ -5,8 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from cdcsr.robot.description import load_robot
 from cdcsr.tasks.catalogue import Follow, make_task
-from cdcsr.tasks.observation import BASE_POSITION, BASE_QUATERNION, DISTANCE
+from cdcsr.tasks.observation import BASE_POSITION, BASE_QUATERNION, DISTANCE, observation_size
 
 
 @pytest.mark.parametrize(
@@ -26,7 +27,7 @@ def test_nine_in_ten_is_no_less(counted: int, least: int) -> None:
 
 
 def test_a_quiet_follower_is_rewarded_by_how_the_base_is_after_each_action() -> None:
-    rows = np.zeros((5, 31))
+    rows = np.zeros((5, observation_size(load_robot("paper"))))
     rows[:, BASE_QUATERNION.start] = 1.0
     rows[:, DISTANCE] = [0.5, 0.01, 0.01, 0.5, 0.01]
     rows[2, BASE_POSITION.start] = 0.01  # after the second action alone

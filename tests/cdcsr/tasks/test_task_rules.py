@@ -9,10 +9,22 @@ import numpy as np
 import pytest
 
 from cdcsr.errors import CdcsrError
+from cdcsr.robot.description import load_robot
 from cdcsr.simulation.contract import Array, State
 from cdcsr.tasks.catalogue import TASKS, Follow, make_task
-from cdcsr.tasks.observation import with_target
+from cdcsr.tasks.observation import (
+    BASE_POSITION,
+    DISTANCE,
+    TARGET,
+    TIP_POSITION,
+    TIP_VELOCITY,
+    observation_size,
+    tip_distance,
+    with_target,
+)
 from cdcsr.tasks.task import Task, Verdict, base_errors
+
+SIZE = observation_size(load_robot("paper"))
 
 
 def state(tip: Array, velocity: Array, shift: Array | None = None, tilt: float = 0.0) -> State:
@@ -39,7 +51,7 @@ def play(task: Task, tips: Array, speeds: Array, target_velocity: float = 0.0) -
     memory, verdicts = task.memory(1), []
     for x, v in zip(tips, speeds, strict=True):
         now = state(np.array([[x, 0, 0]]), np.array([[v, 0, 0]]))
-        distance = task.distance(now, np.zeros((1, 3)))
+        distance = tip_distance(now, np.zeros((1, 3)))
         verdicts.append(task.judge(now, np.array([[target_velocity, 0, 0]]), distance, memory))
     return verdicts
 
@@ -223,7 +235,7 @@ def test_first_success_is_that_of_playing_the_episode_again(name: str, seed: int
         now = dataclasses.replace(
             state(tip[i : i + 1], speed[i : i + 1]), base_position=shift[i : i + 1]
         )
-        distance = task.distance(now, target[None])
+        distance = tip_distance(now, target[None])
         success = bool(task.judge(now, np.zeros((1, 3)), distance, memory).success[0])
         if success and expected is None and task.kind != "follow":
             expected = i
@@ -243,20 +255,22 @@ def test_where_an_episode_began_is_no_success_of_it() -> None:
 
 
 def test_relabelled_observations_differ_in_target_and_distance_alone() -> None:
-    observations = np.random.default_rng(0).normal(size=(5, 31))
+    observations = np.random.default_rng(0).normal(size=(5, SIZE))
     target = np.array([1.0, 2, 3])
     moved = with_target(observations, target)
-    np.testing.assert_array_equal(moved[:, 6:9], np.tile(target, (5, 1)))
+    np.testing.assert_array_equal(moved[:, TARGET], np.tile(target, (5, 1)))
     for before, after in zip(observations, moved, strict=True):
-        assert after[9] == pytest.approx(sum((target[i] - before[i]) ** 2 for i in range(3)) ** 0.5)
-    rest = np.r_[0:6, 10:31]
-    np.testing.assert_array_equal(moved[:, rest], observations[:, rest])
+        assert after[DISTANCE] == pytest.approx(
+            sum((target[i] - before[i]) ** 2 for i in range(3)) ** 0.5
+        )
+    for rest in (TIP_POSITION, TIP_VELOCITY, slice(BASE_POSITION.start, None)):
+        np.testing.assert_array_equal(moved[:, rest], observations[:, rest])
 
 
 @pytest.mark.parametrize(("name", "expected"), [("reach", [0, 0, 1]), ("follow-line", [1, 0, 1])])
 def test_rewards_of_an_episode(name: str, expected: list[float]) -> None:
-    observations = np.zeros((4, 31))
-    observations[1:, 9] = [0.01, 0.5, 0.02]
+    observations = np.zeros((4, SIZE))
+    observations[1:, DISTANCE] = [0.01, 0.5, 0.02]
     assert make_task(name).episode_rewards(observations, True).tolist() == expected
     dense = make_task(name, reward_kind="dense").episode_rewards(observations, True)
     np.testing.assert_allclose(dense, np.array(expected) - [0.01, 0.5, 0.02])

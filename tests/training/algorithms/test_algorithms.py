@@ -10,6 +10,7 @@ import pytest
 import torch
 
 from cdcsr.robot.description import Robot
+from cdcsr.tasks.observation import observation_size
 from training.algorithms.batd3 import BATD3
 from training.algorithms.bc import BehaviourCloning
 from training.algorithms.td3 import TD3
@@ -135,7 +136,7 @@ def test_saturated_actor_pays(make: Make, small_batch: Batch) -> None:
 
 def test_clone_learns_a_known_policy(small_robot: Robot) -> None:
     torch.manual_seed(0)
-    observations = torch.randn(400, 23 + small_robot.num_cables) * 0.1
+    observations = torch.randn(400, observation_size(small_robot)) * 0.1
     pull = torch.sigmoid(10 * observations[:, :1])
     commands = -pull * torch.tensor([5.0, 2.5, 0.0, 5.0])
     learner = Learner(bc_updates=500, bc_learning_rate=3e-3, batch_size=128, hidden=(64, 64))

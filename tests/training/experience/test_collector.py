@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from cdcsr.envs.gym_env import TaskVectorEnv
 from cdcsr.robot.description import Robot, load_robot
+from cdcsr.tasks.observation import observation_size
 from tests.support.tiny import FRAME_SKIP
 from training.config.run_config import Learner
 from training.experience.collector import Collector, exploration_noise
@@ -143,7 +144,7 @@ class _Still:
         return self._observation(), np.zeros(NUM), nothing, nothing, {}
 
     def _observation(self) -> NDArray[Any]:
-        return np.zeros((NUM, 23 + self.robot.num_cables))
+        return np.zeros((NUM, observation_size(self.robot)))
 
 
 def test_noise_is_held_changed_at_different_times_and_goes_up_a_ladder(small_robot: Robot) -> None:

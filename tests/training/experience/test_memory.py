@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from cdcsr.robot.description import load_robot
 from cdcsr.tasks.catalogue import make_task
+from cdcsr.tasks.observation import TARGET, TIP_POSITION, observation_size
 from training.config.run_config import Learner
 from training.experience.collector import FinishedEpisode
 from training.experience.hindsight import relabel
@@ -17,7 +18,7 @@ from training.experience.mixed_replay import Memory
 
 _TASK = make_task("reach")
 _ROBOT = load_robot("planar-single")
-_SIZE = 23 + _ROBOT.num_cables
+_SIZE = observation_size(_ROBOT)
 
 
 def _episode(length: int, mark: float, success: bool = True) -> FinishedEpisode:
@@ -94,7 +95,9 @@ def test_hindsight_against_brute_force(seed: int) -> None:
     rng = np.random.default_rng(seed)
     length, threshold = 80, 0.03
     observations = rng.normal(size=(length + 1, _SIZE))
-    observations[:, 0:3] = np.cumsum(rng.normal((0.01, 0, 0), 0.01, size=(length + 1, 3)), axis=0)
+    observations[:, TIP_POSITION] = np.cumsum(
+        rng.normal((0.01, 0, 0), 0.01, size=(length + 1, 3)), axis=0
+    )
     episode = FinishedEpisode(
         observations, rng.uniform(-1, 1, (length, 4)), np.zeros(length), False, False
     )
@@ -102,15 +105,17 @@ def test_hindsight_against_brute_force(seed: int) -> None:
     other = relabel(episode, _TASK, rng)
     if other is None:
         return
-    target = other.observations[0, 6:9]
-    near = [float(np.linalg.norm(tip - target)) <= threshold for tip in observations[:, 0:3]]
+    target = other.observations[0, TARGET]
+    near = [
+        float(np.linalg.norm(tip - target)) <= threshold for tip in observations[:, TIP_POSITION]
+    ]
     assert near.index(True) == len(other.actions) >= 1
     assert other.success
     assert other.rewards.tolist() == [0.0] * (len(other.actions) - 1) + [1.0]
-    assert (other.observations[:, 6:9] == target).all()
+    assert (other.observations[:, TARGET] == target).all()
     np.testing.assert_allclose(
         other.observations[:, 9],
-        [np.linalg.norm(row[0:3] - target) for row in other.observations],
+        [np.linalg.norm(row[TIP_POSITION] - target) for row in other.observations],
         rtol=1e-12,
     )
     untouched = np.r_[0:6, 10:_SIZE]
@@ -131,7 +136,11 @@ def test_hindsight_pays_as_the_task_does() -> None:
     assert other is not None
     assert (len(other.actions), other.terminated, other.success) == (400, False, True)
     near = (
-        np.abs(np.linalg.norm(other.observations[1:, 0:3] - other.observations[0, 6:9], axis=1))
+        np.abs(
+            np.linalg.norm(
+                other.observations[1:, TIP_POSITION] - other.observations[0, TARGET], axis=1
+            )
+        )
         <= 0.03
     )
     assert near.mean() > 0.9

@@ -11,7 +11,7 @@ import torch
 from torch import Tensor, nn
 
 from cdcsr.robot.description import Robot, load_robot
-from cdcsr.tasks.observation import observation_size
+from cdcsr.tasks.observation import TARGET, TIP_POSITION, observation_size
 from training.algorithms.batd3 import BATD3
 from training.config.run_config import Learner
 from training.experience.replay import Batch
@@ -237,8 +237,8 @@ def test_commands_span_the_servos_travel(robot: Robot) -> None:
 def test_encoder(robot: Robot) -> None:
     """Tip 15 cm above the workspace's centre (0.15 / 0.3 = 0.5), target 6 cm to its side (0.06 / 0.3 = 0.2)."""
     observation = np.zeros(observation_size(robot))
-    observation[0:3] = np.add(robot.workspace.center, (0, 0, 0.15))
-    observation[6:9] = np.add(robot.workspace.center, (0.06, 0, 0))
+    observation[TIP_POSITION] = np.add(robot.workspace.center, (0, 0, 0.15))
+    observation[TARGET] = np.add(robot.workspace.center, (0.06, 0, 0))
     observation[13] = 1  # the base's quaternion, upright
     observation[-1] = -0.03  # the last cable's travel
     encoded = Encoder(robot, with_error=True)(torch.as_tensor(observation, dtype=torch.float32))

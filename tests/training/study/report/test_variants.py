@@ -14,6 +14,7 @@ import torch
 from safetensors import safe_open
 
 from cdcsr.robot.description import Robot, load_robot
+from cdcsr.tasks.observation import observation_size
 from controllers.demonstrations import load
 from tests.support.tiny import FRAME_SKIP
 from training.algorithms.batd3 import BATD3, WithoutAssistance
@@ -165,7 +166,7 @@ def test_the_critic_that_judges_clasps_actor_is_drawn_anew(make: Make, small_bat
 def test_imitation_is_the_same_for_clone_and_actor(small_robot: Robot) -> None:
     learner = Learner(hidden=(16,), bc_updates=30)
     generator = torch.Generator().manual_seed(1)
-    observations = torch.randn(50, 23 + small_robot.num_cables, generator=generator)
+    observations = torch.randn(50, observation_size(small_robot), generator=generator)
     commands = -5 * torch.rand(50, small_robot.num_cables, generator=generator)
     torch.manual_seed(0)
     clone = BehaviourCloning(small_robot, learner, torch.Generator().manual_seed(2))
