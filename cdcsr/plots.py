@@ -1,16 +1,43 @@
-"""How figures look: Matplotlib's settings and colours, as plain data."""
+"""The one style of all figures, and the one way to draw a figure into a file.
+
+Matplotlib is imported here, so import this module only where figures are drawn.
+"""
 
 from __future__ import annotations
 
-from typing import Any
+import io
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Literal
+
+import matplotlib
+from matplotlib.figure import Figure
+
+from cdcsr.files import write_bytes
+
+if TYPE_CHECKING:
+    from matplotlib.typing import RcKeyType
 
 INK, SOFT = "#333333", "#999999"
-"""Of text, and of what should not stand out."""
-STYLE: dict[Any, Any] = {
+"""Colours of text, and of lines that should not stand out."""
+COLORS = (
+    "#1f5fa8",
+    "#d9822b",
+    "#7b4fa3",
+    "#2f8f83",
+    "#a23b5c",
+    "#6b6b6b",
+    "#8a7a1f",
+    "#4a9bd4",
+)
+"""Colours of curves, in the order in which they are used."""
+_STYLE: dict[RcKeyType, Any] = {
     "font.size": 10.0,
     "axes.titlesize": 10.0,
     "axes.edgecolor": SOFT,
     "axes.labelcolor": INK,
+    "axes.axisbelow": True,
     "axes.spines.right": False,
     "axes.spines.top": False,
     "grid.color": "#e6e6e6",
@@ -20,5 +47,28 @@ STYLE: dict[Any, Any] = {
     "text.color": INK,
     "legend.frameon": False,
 }
-GRID_STYLE: dict[Any, Any] = {**STYLE, "font.size": 9.5, "axes.grid": True, "axes.axisbelow": True}
-"""Of figures of engines."""
+_DPI = 160
+
+
+@contextmanager
+def drawn(
+    path: Path, size: tuple[float, float], layout: Literal["constrained"] | None = None
+) -> Iterator[Figure]:
+    """Yield an empty figure, and write it as a PNG when the block ends.
+
+    The figure belongs to no window and to no global state, so no display is needed.
+
+    Args:
+        path: the PNG to write.
+        size: width and height in inches, before the margins are cut.
+        layout: Matplotlib's layout engine; "constrained" suits grids of panels.
+
+    Raises:
+        CdcsrError: the file cannot be written.
+    """
+    with matplotlib.rc_context(_STYLE):
+        figure = Figure(figsize=size, layout=layout)
+        yield figure
+        data = io.BytesIO()
+        figure.savefig(data, format="png", dpi=_DPI, bbox_inches="tight", pad_inches=0.08)
+    write_bytes(path, data.getvalue())

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import io
 from collections.abc import Callable
 from pathlib import Path
 
@@ -11,7 +10,6 @@ from numpy.typing import NDArray
 
 from cdcsr.envs.gym_env import TaskVectorEnv
 from cdcsr.errors import CdcsrError
-from cdcsr.files import write_bytes
 from cdcsr.robot.description import Robot
 from cdcsr.tasks.workspace_map import Workspace, cells_between
 from controllers.demonstrations import rollout
@@ -82,39 +80,39 @@ def compute_workspace(
 
 def draw_workspace(workspace: Workspace, robot: Robot, path: Path) -> None:
     """A picture of a map: its cells seen along each axis, darker where more lie behind each other."""
-    from matplotlib.figure import Figure
     from matplotlib.patches import Rectangle
 
-    figure = Figure(figsize=(12, 4.2), layout="constrained")
-    axes = figure.subplots(1, 3)
-    lowest, size = workspace.cells.min(axis=0), np.ptp(workspace.cells, axis=0) + 1
-    for ax, (across, up, along) in zip(axes, ((0, 2, 1), (1, 2, 0), (0, 1, 2)), strict=True):
-        counts = np.zeros(size[[up, across]])
-        np.add.at(counts, tuple((workspace.cells - lowest)[:, [up, across]].T), 1)
-        low = workspace.origin + lowest * workspace.edges
-        high = low + size * workspace.edges
-        image = ax.imshow(
-            np.where(counts > 0, counts, np.nan),
-            origin="lower",
-            cmap="viridis_r",
-            aspect="equal",
-            extent=(low[across], high[across], low[up], high[up]),
+    from cdcsr.plots import drawn
+
+    with drawn(path, (12, 4.2), "constrained") as figure:
+        axes = figure.subplots(1, 3)
+        lowest, size = workspace.cells.min(axis=0), np.ptp(workspace.cells, axis=0) + 1
+        for ax, (across, up, along) in zip(axes, ((0, 2, 1), (1, 2, 0), (0, 1, 2)), strict=True):
+            counts = np.zeros(size[[up, across]])
+            np.add.at(counts, tuple((workspace.cells - lowest)[:, [up, across]].T), 1)
+            low = workspace.origin + lowest * workspace.edges
+            high = low + size * workspace.edges
+            image = ax.imshow(
+                np.where(counts > 0, counts, np.nan),
+                origin="lower",
+                cmap="viridis_r",
+                aspect="equal",
+                extent=(low[across], high[across], low[up], high[up]),
+            )
+            margin = 0.1
+            if up == 2:
+                ax.plot([0, 0], [robot.top, robot.top + robot.arm_length], color="black", lw=2)
+            ax.set_xlim(low[across] - margin, high[across] + margin)
+            ax.set_ylim(low[up] - margin, high[up] + margin)
+            center, edge = np.array(robot.workspace.center), np.array(robot.workspace.size)
+            corner = (center - edge / 2)[[across, up]]
+            ax.add_patch(
+                Rectangle(tuple(corner), edge[across], edge[up], fill=False, color="tab:red")
+            )
+            ax.set_xlabel(f"{'xyz'[across]} [m]")
+            ax.set_ylabel(f"{'xyz'[up]} [m]")
+            figure.colorbar(image, ax=ax, label=f"cells along {'xyz'[along]}", shrink=0.8)
+        cells = f"{len(workspace.cells)} cells reached"
+        figure.suptitle(
+            f"Workspace of {robot.name}: {cells}; the straight arm in black, the Anchor Space in red"
         )
-        margin = 0.1
-        if up == 2:
-            ax.plot([0, 0], [robot.top, robot.top + robot.arm_length], color="black", lw=2)
-        ax.set_xlim(low[across] - margin, high[across] + margin)
-        ax.set_ylim(low[up] - margin, high[up] + margin)
-        center, edge = np.array(robot.workspace.center), np.array(robot.workspace.size)
-        corner = (center - edge / 2)[[across, up]]
-        ax.add_patch(Rectangle(tuple(corner), edge[across], edge[up], fill=False, color="tab:red"))
-        ax.set_xlabel(f"{'xyz'[across]} [m]")
-        ax.set_ylabel(f"{'xyz'[up]} [m]")
-        figure.colorbar(image, ax=ax, label=f"cells along {'xyz'[along]}", shrink=0.8)
-    cells = f"{len(workspace.cells)} cells reached"
-    figure.suptitle(
-        f"Workspace of {robot.name}: {cells}; the straight arm in black, the Anchor Space in red"
-    )
-    data = io.BytesIO()
-    figure.savefig(data, format="png", dpi=110)
-    write_bytes(path, data.getvalue())

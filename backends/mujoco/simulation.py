@@ -33,6 +33,7 @@ class MujocoSimulation(Simulation):
     """
 
     engine = "mujoco"
+    title = "MuJoCo"
     capabilities = frozenset({"render", "bit_exact", "own_settings"})
 
     def __init__(self, robot: Robot, num: int = 1, threads: int | None = None) -> None:

@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-import io
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
-import matplotlib
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
@@ -16,10 +14,8 @@ from backends.parity.one_step import QUANTITIES
 from backends.parity.open_loop import DISTANCE, OpenLoop
 from backends.parity.report import Parity
 from backends.parity.trajectories import DEMONSTRATOR
-from cdcsr.files import write_bytes
-from cdcsr.plots import GRID_STYLE, SOFT
+from cdcsr.plots import COLORS, SOFT, drawn
 
-_COLORS = ("#1f5fa8", "#d9822b", "#2f8f83", "#7b4fa3", "#a23b5c")
 _MARKERS = ("o", "D", "s", "^", "v")
 _RED = "#c0392b"
 _SMALLEST = 1e-12
@@ -35,13 +31,10 @@ def draw(parity: Parity, folder: Path) -> list[Path]:
     }
     paths = []
     for name, paint in figures.items():
-        with matplotlib.rc_context(GRID_STYLE):
-            figure = Figure(figsize=(9.4, 5.8 if name == "one-step" else 4.2), layout="constrained")
-            paint(figure, parity)
-            data = io.BytesIO()
-            figure.savefig(data, format="png", dpi=150)
         paths.append(folder / f"{parity.robot.name}-{name}.png")
-        write_bytes(paths[-1], data.getvalue())
+        size = (9.4, 5.8 if name == "one-step" else 4.2)
+        with drawn(paths[-1], size, "constrained") as figure:
+            paint(figure, parity)
     return paths
 
 
@@ -55,7 +48,7 @@ def _one_step(figure: Figure, parity: Parity) -> None:
         for i, part in enumerate(parity.one_step):
             values = np.sort(np.maximum(part.differences[quantity.name], _SMALLEST))
             share = np.arange(1, len(values) + 1) / len(values)
-            color = _COLORS[i % len(_COLORS)]
+            color = COLORS[i % len(COLORS)]
             label = f"{part.pair}, {part.commands} ({len(values)} states)"
             axes.step(values, share, where="post", color=color, linewidth=1.6, label=label)
         size = max(float(np.percentile(part.sizes[quantity.name], 95)) for part in parity.one_step)
@@ -63,6 +56,7 @@ def _one_step(figure: Figure, parity: Parity) -> None:
             size, color=SOFT, linestyle=":", linewidth=1.4, label="the quantity itself, 95 %"
         )
         axes.set_xscale("log")
+        axes.grid()
         axes.set_xlim(right=2 * size)
         axes.set_xlabel(f"{quantity.name} [{quantity.unit}]")
         axes.yaxis.set_major_formatter(PercentFormatter(1))
@@ -81,12 +75,12 @@ def _convergence(figure: Figure, parity: Parity) -> None:
         steps = 1e3 * part.time_steps
         for i, engine in enumerate(part.tips):
             # Engines that agree lie on each other: the first has large open marks, the others small full ones.
-            size, face = (10, "none") if i == 0 else (4.5, _COLORS[i])
+            size, face = (10, "none") if i == 0 else (4.5, COLORS[i])
             axes.plot(
                 steps,
                 1e3 * part.errors(engine),
                 _MARKERS[i] + "-",
-                color=_COLORS[i],
+                color=COLORS[i],
                 markersize=size,
                 markerfacecolor=face,
                 linewidth=2.4 if i == 0 else 1.2,
@@ -99,7 +93,7 @@ def _convergence(figure: Figure, parity: Parity) -> None:
                 steps,
                 apart,
                 _MARKERS[i] + "--",
-                color=_COLORS[i],
+                color=COLORS[i],
                 markersize=4.5,
                 linewidth=1.2,
                 label=label,
@@ -127,7 +121,7 @@ def _open_loop(figure: Figure, parity: Parity) -> None:
     for axes, part in zip(panels, parity.open_loop, strict=True):
         for i, engine in enumerate(list(part.tips)[1:], start=1):
             _band(
-                axes, part, part.distance(engine)[0], _COLORS[i], f"{engine} from {part.reference}"
+                axes, part, part.distance(engine)[0], COLORS[i], f"{engine} from {part.reference}"
             )
         _band(axes, part, part.noise, SOFT, f"{part.reference}, commands off by 1e-6 (noise floor)")
         if part.commands == DEMONSTRATOR:
@@ -174,4 +168,5 @@ def _panels(figure: Figure, parts: Sequence[OpenLoop]) -> list[Axes]:
     panels = list(figure.subplots(1, len(parts), sharey=True, squeeze=False)[0])
     for axes in panels:
         axes.set_yscale("log")
+        axes.grid()
     return panels

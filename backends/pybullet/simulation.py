@@ -41,6 +41,7 @@ class PybulletSimulation(Simulation):
     """
 
     engine: ClassVar[str] = "pybullet"
+    title: ClassVar[str] = "PyBullet"
     capabilities: ClassVar[frozenset[Capability]] = frozenset({"render", "own_settings"})
 
     def __init__(self, robot: Robot, num: int = 1, workers: int | None = None) -> None:

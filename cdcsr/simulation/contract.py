@@ -114,6 +114,9 @@ class Simulation(ABC):
     """
 
     engine: ClassVar[str]
+    """The name that chooses the engine, as in `--backend`."""
+    title: ClassVar[str]
+    """The engine's name as it is written in text."""
     capabilities: ClassVar[frozenset[Capability]]
 
     def __init__(self, robot: Robot, num: int = 1) -> None:

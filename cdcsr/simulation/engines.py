@@ -29,6 +29,12 @@ def load_backend(name: str) -> type[Simulation]:
     raise CdcsrError(unknown_choice("backend", name, backend_names()))
 
 
+def engine_title(name: str) -> str:
+    """Return an engine's name as it is written in text; an engine that is not installed has no
+    other than the one given."""
+    return load_backend(name).title if name in backend_names() else name
+
+
 def chosen_backends(name: str) -> list[str]:
     """The engines a user means by a name, or by "all".
 

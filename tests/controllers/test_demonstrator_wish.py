@@ -7,12 +7,13 @@ import pytest
 from numpy.typing import NDArray
 
 from cdcsr.envs.gym_env import TaskVectorEnv
+from cdcsr.simulation.engines import backend_names
 from controllers.jacobian import JacobianController
 
 Array = NDArray[np.float64]
 
 
-@pytest.mark.parametrize("backend", ["mujoco", "pybullet"])
+@pytest.mark.parametrize("backend", backend_names())
 def test_predicts_the_hinges_rates_of_the_next_step(backend: str) -> None:
     """With tensions as measured in a step, the prediction from before it meets the rates after it."""
     env = TaskVectorEnv(1, "paper", backend, "anchor", task="capture", autoreset_mode="Disabled")

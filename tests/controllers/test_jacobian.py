@@ -8,11 +8,12 @@ from scipy.optimize import minimize
 
 from cdcsr.envs.gym_env import TaskVectorEnv
 from cdcsr.robot.description import load_robot
+from cdcsr.simulation.engines import backend_names
 from controllers.demonstrations import rollout
 from controllers.jacobian import JacobianController
 
 
-@pytest.mark.parametrize("backend", ["mujoco", "pybullet"])
+@pytest.mark.parametrize("backend", backend_names())
 @pytest.mark.parametrize(
     ("robot", "least"), [("paper", 8), ("three-segment", 8), ("three-cable", 7)]
 )
@@ -32,7 +33,7 @@ def test_planar_robot_stays_in_its_plane() -> None:
     assert np.abs(result.observations[:, :, 1]).max() < 1e-6
 
 
-@pytest.mark.parametrize("backend", ["mujoco", "pybullet"])
+@pytest.mark.parametrize("backend", backend_names())
 def test_predicts_the_tip_velocity_of_the_next_step(backend: str) -> None:
     """With tensions as measured in a step, the prediction from before it meets the velocity after it."""
     env = TaskVectorEnv(1, "paper", backend, "anchor", autoreset_mode="Disabled")

@@ -2,22 +2,15 @@
 
 from __future__ import annotations
 
-import io
 from collections.abc import Mapping
 from pathlib import Path
 
-import matplotlib
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.figure import Figure
 from matplotlib.ticker import FixedLocator, FuncFormatter, LogLocator, NullLocator
 
-from cdcsr.files import write_bytes
-from cdcsr.plots import GRID_STYLE
+from cdcsr.plots import COLORS, drawn
 from training.bench.scaling import Growth
-
-_COLORS = {"mujoco": "#1f5fa8", "pybullet": "#d9822b"}
-_OTHER = "#2f8f83"
 
 
 def growth_picture(by_engine: Mapping[str, Growth], path: Path) -> None:
@@ -27,11 +20,9 @@ def growth_picture(by_engine: Mapping[str, Growth], path: Path) -> None:
         by_engine: measurements by the engine's name.
         path: the PNG to write.
     """
-    with matplotlib.rc_context(GRID_STYLE):
-        figure = Figure(figsize=(9.4, 4.2), layout="constrained")
+    with drawn(path, (9.4, 4.2), "constrained") as figure:
         left, right = figure.subplots(1, 2, sharey=True)
-        for engine, growth in by_engine.items():
-            color = _COLORS.get(engine, _OTHER)
+        for (engine, growth), color in zip(by_engine.items(), COLORS, strict=False):
             _curve(left, growth.links, growth.links_exponent, color, engine, "links")
             _curve(right, growth.segments, growth.segments_exponent, color, engine, "segments")
         left.set(xlabel="links, in two segments", ylabel="time of a step of one copy [µs]")
@@ -40,9 +31,6 @@ def growth_picture(by_engine: Mapping[str, Growth], path: Path) -> None:
             "Cost of a step against the size of the robot, and the power that fits best",
             fontsize=11,
         )
-        data = io.BytesIO()
-        figure.savefig(data, format="png", dpi=150)
-    write_bytes(path, data.getvalue())
 
 
 def _curve(
@@ -60,6 +48,7 @@ def _curve(
     )
     axes.set_xscale("log")
     axes.set_yscale("log")
+    axes.grid()
     axes.xaxis.set_major_locator(FixedLocator(sizes.tolist()))
     axes.xaxis.set_minor_locator(NullLocator())
     axes.xaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))

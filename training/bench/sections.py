@@ -14,6 +14,7 @@ from backends.pybullet.speed import step_cost
 from cdcsr.errors import CdcsrError
 from cdcsr.files import write_json
 from cdcsr.robot.description import Robot, load_robot
+from cdcsr.simulation.engines import backend_names
 from training.bench.arms import arms
 from training.bench.growth_plot import growth_picture
 from training.bench.scaling import growth, memory_per_copy, worker_gain
@@ -110,7 +111,7 @@ class Benchmarks:
 
     def _growth(self) -> None:
         measured = {}
-        for backend in ("mujoco", "pybullet"):
+        for backend in backend_names():
             cost = measured[backend] = growth(self._robot, backend)
             for of, exponent, us in (
                 ("links, 6 to 48", cost.links_exponent, cost.links),

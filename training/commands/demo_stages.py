@@ -16,6 +16,7 @@ import torch
 from cdcsr.errors import CdcsrError
 from cdcsr.files import write_json, write_text
 from cdcsr.robot.description import Robot, load_robot
+from cdcsr.simulation.engines import backend_names, engine_title
 from controllers.controller import Controller
 from controllers.jacobian import JacobianController
 from training.commands.build_model import build_model
@@ -25,15 +26,14 @@ from training.config.seeds import TEST_SEED
 from training.measure.evaluation import Result
 from training.measure.transfer_matrix import disagreements, format_table, transfer
 from training.plots.run_plots import learning_curve, targets_picture
-from training.plots.style import algorithm_title, engine_title
+from training.plots.style import algorithm_title
 from training.plots.video import policy_video
 from training.policy import Policy, load_policy
 from training.run.metrics import read_metrics
 from training.run.trainer import train
 
 ROBOT, SPACE = "paper", "spatter"
-BACKENDS = ("mujoco", "pybullet")
-"""Training is in the first."""
+TRAINED_IN = "mujoco"
 
 RECORD = "demo.json"
 MODEL, DEMONSTRATIONS, RUN = "model", "demonstrations", "runs/batd3"
@@ -141,7 +141,7 @@ def run_demo(out: Path, amounts: Amounts = Amounts()) -> dict[str, Any]:
         "ten demonstrations in MuJoCo",
         of_robot,
         [DEMONSTRATIONS],
-        lambda: demonstrate(out=out / DEMONSTRATIONS, backend=BACKENDS[0], robot=ROBOT, force=True),
+        lambda: demonstrate(out=out / DEMONSTRATIONS, backend=TRAINED_IN, robot=ROBOT, force=True),
     )
     _train(stages, amounts)
     clone, policy = load_policy(out / RUN / "clone"), load_policy(out / RUN)
@@ -168,7 +168,12 @@ def run_demo(out: Path, amounts: Amounts = Amounts()) -> dict[str, Any]:
         {**learned, "episodes": len(targets)},
         [VIDEO, ANIMATION],
         lambda: policy_video(
-            policy, robot, BACKENDS, targets, [out / VIDEO, out / ANIMATION], policy.frame_skip
+            policy,
+            robot,
+            backend_names(),
+            targets,
+            [out / VIDEO, out / ANIMATION],
+            policy.frame_skip,
         ),
     )
     print("\n" + (out / TABLE).read_text("utf-8"))
@@ -185,7 +190,7 @@ def _train(stages: Stages, amounts: Amounts) -> None:
     config = Train(
         folder,
         space=SPACE,
-        backend=BACKENDS[0],
+        backend=TRAINED_IN,
         robot=ROBOT,
         demonstrations=stages.folder / DEMONSTRATIONS,
         learner=amounts.learner,
@@ -212,7 +217,7 @@ def _measure(out: Path, robot: Robot, controllers: Sequence[Controller], episode
     cells = transfer(
         controllers,
         robot,
-        BACKENDS,
+        backend_names(),
         [SPACE],
         episodes,
         progress=lambda cell: print(
@@ -242,7 +247,7 @@ def _draw(
     references = {
         f"{titles.get(cell['controller'], 'demonstrator')}, held-out targets": cell["success_rate"]
         for cell in cells
-        if cell["backend"] == BACKENDS[0] and cell["controller"] != policies[-1].name
+        if cell["backend"] == TRAINED_IN and cell["controller"] != policies[-1].name
     }
     learning_curve([out / RUN], out / CURVE, references)
     results = {

@@ -58,8 +58,8 @@ def report_cells(
             },
         )
     if plot is not None:
+        from cdcsr.simulation.engines import engine_title
         from training.plots.run_plots import targets_picture
-        from training.plots.style import engine_title
 
         panels = {
             f"{cell.controller} in {engine_title(cell.backend)}"

@@ -11,6 +11,7 @@ import numpy as np
 
 from cdcsr.errors import CdcsrError, Diverged
 from cdcsr.robot.description import Robot
+from cdcsr.tables import markdown
 from cdcsr.tasks.catalogue import make_task
 from cdcsr.tasks.task import Task
 from controllers.controller import Controller
@@ -356,4 +357,4 @@ def format_sweep(points: Sequence[Point]) -> str:
                     f"{x.mean() - y.mean():+.2f} ({int((x & ~y).sum())} / {int((y & ~x).sum())})"
                 )
             rows.append(row)
-    return "\n".join("| " + " | ".join(line) + " |" for line in [head, ["-"] * len(head), *rows])
+    return markdown(head, rows)

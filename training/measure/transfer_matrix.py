@@ -12,6 +12,7 @@ import numpy as np
 from cdcsr.envs.disturbances import Disturbances
 from cdcsr.errors import CdcsrError
 from cdcsr.robot.description import Robot
+from cdcsr.tables import markdown
 from controllers.controller import Controller
 from training.config.seeds import TEST_SEED
 from training.measure.evaluation import Result, evaluate
@@ -195,9 +196,4 @@ def format_table(cells: Sequence[Cell]) -> str:
             pair = pairs[controller, space, names]
             row.append(f"{len(pair.only_first)} / {len(pair.only_second)}")
         rows.append(row)
-    widths = [max(len(row[i]) for row in [head, *rows]) for i in range(len(head))]
-    lines = [head, ["-" * width for width in widths], *rows]
-    return "\n".join(
-        "| " + " | ".join(f"{x:<{w}}" for x, w in zip(line, widths, strict=True)) + " |"
-        for line in lines
-    )
+    return markdown(head, rows)

@@ -19,10 +19,10 @@ from mpl_toolkits.mplot3d import Axes3D
 from numpy.typing import NDArray
 
 from cdcsr.errors import CdcsrError
-from cdcsr.plots import INK, SOFT
+from cdcsr.plots import COLORS, INK, SOFT, drawn
 from cdcsr.robot.description import Robot
 from training.measure.evaluation import Result
-from training.plots.style import PALE, RUN_COLORS, algorithm_title, drawn, short_count
+from training.plots.style import PALE, algorithm_title, short_count
 from training.run.metrics import read_metrics
 
 Array = NDArray[np.float64]
@@ -55,7 +55,7 @@ def learning_curve(
         )
     with drawn(path, (6.4, 3.6)) as figure:
         axes = figure.add_subplot()
-        for (run, rows), color in zip(histories.items(), cycle(RUN_COLORS), strict=False):
+        for (run, rows), color in zip(histories.items(), cycle(COLORS), strict=False):
             steps, low, high = (
                 _column(rows, name) for name in ("environment_steps", "success_low", "success_high")
             )

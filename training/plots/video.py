@@ -17,9 +17,9 @@ from backends.viewers.software import BACKGROUND, Renderer
 from cdcsr.envs.gym_env import TaskVectorEnv
 from cdcsr.files import write_bytes
 from cdcsr.robot.description import Robot
+from cdcsr.simulation.engines import engine_title
 from controllers.controller import Controller
 from training.plots.run_plots import MISSED_COLOR, REACHED_COLOR
-from training.plots.style import engine_title
 
 Array = NDArray[np.float64]
 Picture = NDArray[np.uint8]

@@ -11,7 +11,7 @@ from cdcsr.envs.disturbances import Channel, Disturbances
 from cdcsr.envs.gym_env import TaskVectorEnv
 from cdcsr.robot.description import load_robot
 from cdcsr.simulation.contract import Array
-from cdcsr.simulation.engines import make_simulation
+from cdcsr.simulation.engines import backend_names, make_simulation
 from cdcsr.simulation.plant import Parameters
 from cdcsr.simulation.randomization import Randomization
 from cdcsr.tasks.catalogue import make_task
@@ -99,7 +99,7 @@ def test_until_something_late_arrives_the_first_observation_stands_as_it_was_see
     assert (through.observe(sent[4]) != first).any()
 
 
-@pytest.mark.parametrize("backend", ["mujoco", "pybullet"])
+@pytest.mark.parametrize("backend", backend_names())
 def test_an_episode_is_on_its_plant_from_its_first_step_on(backend: str) -> None:
     """What is left of the plant before, and of the commands on their way to it, must not show."""
     randomization = Randomization(SMALL, 2, 1.0, np.random.default_rng(0))

@@ -17,9 +17,10 @@ from cdcsr.envs.gym_env import TaskEnv, TaskVectorEnv
 from cdcsr.errors import CdcsrError
 from cdcsr.robot.description import load_robot, shipped_robots
 from cdcsr.simulation.contract import Array
+from cdcsr.simulation.engines import backend_names
 from cdcsr.tasks.observation import BASE_POSITION, CABLE_TRAVEL, DISTANCE, TARGET, observation_size
 
-both = pytest.mark.parametrize("backend", ["mujoco", "pybullet"])
+both = pytest.mark.parametrize("backend", backend_names())
 TIP = [0.0, 0.0, 2.7]
 """Of the paper's robot when it is straight."""
 IDLE = np.zeros(8)

@@ -13,11 +13,12 @@ from cdcsr.envs.disturbances import Disturbances
 from cdcsr.envs.gym_env import TaskEnv, TaskVectorEnv
 from cdcsr.envs.rng_state import pack_generator, unpack_generator
 from cdcsr.errors import CdcsrError
+from cdcsr.simulation.engines import backend_names
 from cdcsr.simulation.plant import Parameters
 from cdcsr.tasks.catalogue import TASKS
 from cdcsr.tasks.observation import DISTANCE, TARGET, TIP_POSITION, observation_size
 
-engines = pytest.mark.parametrize("backend", ["mujoco", "pybullet"])
+engines = pytest.mark.parametrize("backend", backend_names())
 every_task = pytest.mark.parametrize("task", TASKS)
 _SMALL: dict[str, Any] = {"robot": "planar-single"}
 

@@ -17,7 +17,7 @@ from cdcsr.envs.gym_env import TaskVectorEnv
 from cdcsr.errors import CdcsrError, Diverged
 from cdcsr.robot.description import Robot, load_robot
 from cdcsr.simulation.contract import Simulation
-from cdcsr.simulation.engines import make_simulation
+from cdcsr.simulation.engines import backend_names, make_simulation
 from cdcsr.simulation.plant import Parameters
 from controllers.controller import Controller
 from training.commands.sweep import sweep as command
@@ -38,7 +38,7 @@ from training.policy import Policy, find_policy
 from training.study.declare.run_spec import SCRIPTED, RunSpec
 from training.study.execute import evaluations
 
-both = pytest.mark.parametrize("backend", ["mujoco", "pybullet"])
+both = pytest.mark.parametrize("backend", backend_names())
 
 
 @pytest.fixture(scope="module")

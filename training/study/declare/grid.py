@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 from cdcsr.errors import CdcsrError, unknown_choice
+from cdcsr.simulation.engines import backend_names
 from training.config.run_config import PresetName
 from training.study.declare.run_spec import SCRIPTED, RunSpec
 from training.study.declare.switches import (
@@ -61,7 +62,6 @@ BUDGETS = {
 SPACES = ("spatter", "anchor", "floating")
 AROUND = "workspace"
 """The space of all that the demonstrator reaches; also the evaluation of a policy there that was trained elsewhere."""
-BACKENDS = ("mujoco", "pybullet")
 METHODS = ("batd3", "bc", "clasp", "td3wd", "rlpd", "rbl", "drldr", "td3", "her")
 """All of them, those that are compared most first."""
 HARDER = ("capture", "follow-random")
@@ -145,11 +145,11 @@ def transfer(budget: Budget) -> Iterator[Cell]:
     for seed in range(budget.seeds):
         for space in SPACES:
             for algorithm in METHODS:
-                for backend in BACKENDS:
+                for backend in backend_names():
                     yield _spec(budget, algorithm, space, seed, backend=backend), ("nominal",)
         for task, space in TASKS:
             for algorithm in TASK_METHODS:
-                for backend in BACKENDS:
+                for backend in backend_names():
                     yield (
                         _spec(budget, algorithm, space, seed, task=task, backend=backend),
                         ("nominal",),

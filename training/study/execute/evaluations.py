@@ -14,13 +14,14 @@ from cdcsr.envs.disturbances import Disturbances
 from cdcsr.errors import CdcsrError
 from cdcsr.files import write_text
 from cdcsr.robot.description import Robot
+from cdcsr.simulation.engines import backend_names
 from controllers.controller import Controller
 from training.measure.evaluation import Result, evaluate
 from training.measure.following import MOTIONS, follow
 from training.measure.plant_axes import AXES
 from training.measure.plant_sweep import Point, sweep
 from training.policy import Policy
-from training.study.declare.grid import AROUND, BACKENDS, SPACES
+from training.study.declare.grid import AROUND, SPACES
 from training.study.declare.run_spec import RunSpec
 
 EPISODE_COLUMNS = ("backend", "space", "axis", "level", "episode", "success", "length", "distance")
@@ -111,7 +112,7 @@ def nominal(subject: Subject, episodes: int) -> Iterator[Row]:
     """Undisturbed, in every engine: a reaching policy in all spaces of the paper, another in its own."""
     spec = subject.spec
     spaces = SPACES if spec.task == "reach" and spec.space in SPACES else (spec.space,)
-    for space, backend in product(spaces, BACKENDS):
+    for space, backend in product(spaces, backend_names()):
         result = evaluate(
             subject.controller, subject.robot, backend, space, episodes, **subject.options
         )
@@ -120,7 +121,7 @@ def nominal(subject: Subject, episodes: int) -> Iterator[Row]:
 
 def around(subject: Subject, episodes: int) -> Iterator[Row]:
     """Undisturbed, in every engine, all around the arm."""
-    for backend in BACKENDS:
+    for backend in backend_names():
         result = evaluate(
             subject.controller, subject.robot, backend, AROUND, episodes, **subject.options
         )
@@ -147,7 +148,7 @@ def disturbances(subject: Subject, episodes: int) -> Iterator[Row]:
 def following(subject: Subject, episodes: int) -> Iterator[Row]:
     """Targets that move, in every engine (Fig. 6)."""
     known = {name: value for name, value in subject.options.items() if name != "task"}
-    for backend, motion in product(BACKENDS, MOTIONS):
+    for backend, motion in product(backend_names(), MOTIONS):
         for sample in follow(
             subject.controller,
             subject.robot,
@@ -164,7 +165,7 @@ def following(subject: Subject, episodes: int) -> Iterator[Row]:
 def plants(subject: Subject, episodes: int) -> Iterator[Row]:
     """Plants that are ever more wrong, one axis at a time, in every engine, until success halves."""
     space = subject.spec.space
-    for backend in BACKENDS:
+    for backend in backend_names():
         nominal = evaluate(
             subject.controller, subject.robot, backend, space, episodes, **subject.options
         )

@@ -10,8 +10,10 @@ from typing import Any
 
 import numpy as np
 
+from cdcsr.simulation.engines import engine_title
+from cdcsr.tables import markdown
 from training.measure.statistics import Estimate, iqm, over_seeds, rate
-from training.plots.style import algorithm_title, engine_title
+from training.plots.style import algorithm_title
 from training.study.report.records import Episodes, Run, Setting
 
 NOT_RUN = "not run"
@@ -56,13 +58,7 @@ class Table:
 
     def markdown(self) -> str:
         """For reading."""
-        lines = [list(self.head), *([_text(value) for value in row] for row in self.rows)]
-        widths = [max(len(line[i]) for line in lines) for i in range(len(self.head))]
-        lines.insert(1, ["-" * width for width in widths])
-        return "\n".join(
-            "| " + " | ".join(f"{x:<{w}}" for x, w in zip(line, widths, strict=True)) + " |"
-            for line in lines
-        )
+        return markdown(self.head, [[_text(value) for value in row] for row in self.rows])
 
     def csv(self) -> str:
         """For computing: an estimate has three columns, a spread two; what was not run is empty."""

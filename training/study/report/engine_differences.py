@@ -6,10 +6,10 @@ from collections.abc import Iterator, Sequence
 
 import numpy as np
 
+from cdcsr.simulation.engines import backend_names, engine_title
 from training.measure.plant_axes import AXES
 from training.measure.statistics import disagreement
-from training.plots.style import engine_title
-from training.study.declare.grid import AROUND, BACKENDS
+from training.study.declare.grid import AROUND
 from training.study.report.cells import Table, Value
 from training.study.report.records import Episodes, Run
 
@@ -24,7 +24,10 @@ def differences(runs: Sequence[Run]) -> Table:
         for axis, pair in _pairs(run):
             found.setdefault(axis, []).append((run, *pair))
     rows: list[list[Value]] = []
-    for axis in (DESCRIBED, *(name for name, axis in AXES.items() if not axis.idle & {*BACKENDS})):
+    for axis in (
+        DESCRIBED,
+        *(name for name, axis in AXES.items() if not axis.idle & {*backend_names()}),
+    ):
         pairs = found.get(axis, [])
         counts = sum(
             (np.array(disagreement(one.success, two.success)) for _, one, two in pairs),
@@ -41,7 +44,7 @@ def differences(runs: Sequence[Run]) -> Table:
                 "; ".join(which) or "-",
             ]
         )
-    only = [f"only {engine_title(engine)}" for engine in BACKENDS]
+    only = [f"only {engine_title(engine)}" for engine in backend_names()]
     note = (
         "Episodes of one policy on one target and plant, run in both engines, whatever the method, space, task or"
         " engine of training; those on changed plants at all levels that both could simulate, without the level"
@@ -65,7 +68,7 @@ def _pairs(run: Run) -> Iterator[tuple[str, tuple[Episodes, Episodes]]]:
                 continue
             first, second = (
                 rows.where(backend=engine, space=space, axis=axis, level=level)
-                for engine in BACKENDS
+                for engine in backend_names()
             )
             if len(first) and np.array_equal(first.episode, second.episode):
                 yield axis if changed else DESCRIBED, (first, second)

@@ -13,9 +13,10 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import PercentFormatter
 from numpy.typing import NDArray
 
-from cdcsr.plots import INK, SOFT
+from cdcsr.plots import COLORS, INK, SOFT, drawn
+from cdcsr.simulation.engines import engine_title
 from training.measure.statistics import band
-from training.plots.style import RUN_COLORS, algorithm_title, drawn, engine_title, short_count
+from training.plots.style import algorithm_title, short_count
 from training.study.declare.grid import ABLATIONS
 from training.study.declare.switches import OURS
 from training.study.report.cells import amount, measure, who
@@ -24,11 +25,11 @@ from training.study.report.tables import COUNTED, counted
 
 Array = NDArray[np.float64]
 
-COLORS = dict(
-    zip(("batd3", OURS, "td3wd", "rlpd", "rbl", "bc", "td3", "her"), RUN_COLORS, strict=True),
+ALGORITHM_COLORS = dict(
+    zip(("batd3", OURS, "td3wd", "rlpd", "rbl", "bc", "td3", "her"), COLORS, strict=True),
     drldr=INK,
     **{JACOBIAN: "#5aa02c"},
-    **dict(zip(ABLATIONS[1:], RUN_COLORS[1:], strict=False)),
+    **dict(zip(ABLATIONS[1:], COLORS[1:], strict=False)),
 )
 """Of algorithms, the same in all figures in which they stand side by side."""
 
@@ -195,7 +196,13 @@ def _by_count(axes: Axes, panels: Panels) -> None:
                 np.array([e.value for _, e in points]),
             )
             spread = np.abs(np.array([[e.low, e.high] for _, e in points]).T - values)
-            style = {"color": COLORS[algorithm], "marker": "o", "ms": 4, "lw": 1.5, "capsize": 2.5}
+            style = {
+                "color": ALGORITHM_COLORS[algorithm],
+                "marker": "o",
+                "ms": 4,
+                "lw": 1.5,
+                "capsize": 2.5,
+            }
             axes.errorbar(counts, values, spread, label=algorithm_title(algorithm), **style)
     axes.set_xticks(sorted({s.demonstrations for groups in panels.values() for s in groups}))
     tidy(axes)
@@ -213,7 +220,7 @@ def _looks(panels: Panels, counts: bool) -> dict[str, tuple[object, str]]:
         }
     return {
         _label(setting, counts): (
-            COLORS.get(setting.algorithm, SOFT),
+            ALGORITHM_COLORS.get(setting.algorithm, SOFT),
             "--" if setting.algorithm == "drldr" else "-",
         )
         for setting in settings

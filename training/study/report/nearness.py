@@ -11,14 +11,16 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from cdcsr.plots import drawn
 from cdcsr.robot.description import Robot, load_robot
+from cdcsr.simulation.engines import engine_title
 from cdcsr.tasks.spaces import demonstration_targets, make_space
 from training.config.seeds import TEST_SEED
 from training.measure.statistics import Estimate, rate
-from training.plots.style import algorithm_title, drawn, engine_title
+from training.plots.style import algorithm_title
 from training.study.declare.grid import ABLATIONS
 from training.study.report.cells import COST, TRAINED, Table, amount, cost, measure, trained
-from training.study.report.learning_curves import COLORS, legend, tidy
+from training.study.report.learning_curves import ALGORITHM_COLORS, legend, tidy
 from training.study.report.records import (
     DEMONSTRATIONS,
     JACOBIAN,
@@ -161,7 +163,7 @@ def _draw(rows: Sequence[Row], path: Path) -> None:
                     (i, found.value) for i, (_, found) in enumerate(row.bins) if found is not None
                 ]
                 style = "--" if row.setting.algorithm == JACOBIAN else "-"
-                color, name = COLORS[row.setting.algorithm], algorithm_title(row.setting.algorithm)
+                color, name = ALGORITHM_COLORS[row.setting.algorithm], algorithm_title(row.setting.algorithm)
                 axes.plot(
                     *np.transpose(points),
                     ls=style,

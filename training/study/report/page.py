@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Iterator, Mapping, Sequence
 
+from cdcsr.tables import markdown
 from training.plots.style import algorithm_title
 from training.study.report.cells import COST, Cell, Table, Value, cost, measure
 from training.study.report.paper_numbers import DISTURBANCES, TABLE_2, TABLE_3, TABLE_4, Printed
@@ -229,7 +230,7 @@ def _provenance(runs: Sequence[Run]) -> str:
 def _missing(runs: Sequence[Run], expected: Expected | None) -> str:
     if expected is None:
         return "It is not known with which budget the runs were made."
-    lines = ["| experiment | finished | not run |", "| --- | --- | --- |"]
+    rows = []
     have = {run.name for run in runs}
     for experiment, names in missing(runs, expected).items():
         total = len(expected[experiment])
@@ -240,5 +241,5 @@ def _missing(runs: Sequence[Run], expected: Expected | None) -> str:
         said = "; ".join(
             what + (f" ({count})" if count > 1 else "") for what, count in seeds.items()
         )
-        lines.append(f"| {experiment} | {total - len(names)} of {total} | {said or '-'} |")
-    return "\n".join(lines)
+        rows.append([experiment, f"{total - len(names)} of {total}", said or "-"])
+    return markdown(["experiment", "finished", "not run"], rows)

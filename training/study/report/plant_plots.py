@@ -10,12 +10,12 @@ from matplotlib.axes import Axes
 from matplotlib.ticker import FixedLocator, FuncFormatter, MaxNLocator, NullLocator
 from numpy.typing import NDArray
 
-from cdcsr.plots import SOFT
+from cdcsr.plots import SOFT, drawn
+from cdcsr.simulation.engines import engine_title
 from training.measure.plant_axes import AXES
 from training.measure.statistics import Sweep, wilson
-from training.plots.style import drawn, engine_title
 from training.study.report.cells import amount, who
-from training.study.report.learning_curves import COLORS, legend, tidy
+from training.study.report.learning_curves import ALGORITHM_COLORS, legend, tidy
 from training.study.report.plant_sweeps import sweeps
 from training.study.report.records import SPACES, Run, Setting, grouped
 from training.study.report.tables import engines_of
@@ -154,7 +154,7 @@ def _draw_sweeps(found: dict[str, dict[Setting, list[Sweep]]], path: Path) -> No
             for setting, seeds in groups.items():
                 levels, counts = common(seeds)
                 bounds = np.array([wilson(int(s), int(n)) for s, n in counts]).reshape(-1, 2)
-                color = COLORS.get(setting.algorithm, SOFT)
+                color = ALGORITHM_COLORS.get(setting.algorithm, SOFT)
                 axes.fill_between(levels, *bounds.T, color=color, alpha=0.12, lw=0)
                 line = {
                     "color": color,
@@ -206,7 +206,7 @@ def _followed(
                 samples.setdefault(int(step), []).append(factor * float(value))
     if samples:
         steps = sorted(samples)
-        color = COLORS.get(setting.algorithm, SOFT)
+        color = ALGORITHM_COLORS.get(setting.algorithm, SOFT)
         low, high = np.array([np.quantile(samples[step], (0.05, 0.95)) for step in steps]).T
         axes.fill_between(steps, low, high, color=color, alpha=0.12, lw=0)
         axes.plot(

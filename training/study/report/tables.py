@@ -10,9 +10,10 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from cdcsr.simulation.engines import backend_names, engine_title
 from training.measure.plant_axes import AXES, Axis
 from training.measure.statistics import Sweep, disagreement, halving, rate
-from training.plots.style import ENGINES, algorithm_title, engine_title
+from training.plots.style import algorithm_title
 from training.study.declare.grid import ABLATIONS, AROUND, COUNTS
 from training.study.declare.switches import GENERAL, OURS, PUT_BACK, RAISED
 from training.study.report.cells import (
@@ -187,7 +188,7 @@ def generalization(runs: Sequence[Run]) -> Table:
                 [
                     algorithm_title("batd3"),
                     "-",
-                    ENGINES["mujoco"],
+                    engine_title("mujoco"),
                     SPACES[space],
                     *[None] * 4,
                     *cost(None),
@@ -221,7 +222,7 @@ def robustness(runs: Sequence[Run]) -> Table:
                         level,
                         algorithm_title("batd3"),
                         "-",
-                        ENGINES["mujoco"],
+                        engine_title("mujoco"),
                         *[None] * 6,
                         *cost(None),
                     ]
@@ -370,7 +371,8 @@ def engines_of(runs: Iterable[Run], evaluation: str = "nominal") -> list[str]:
         if evaluation in run.evaluations
         for x in run.evaluations[evaluation].backend
     }
-    return sorted(names, key=lambda name: (name not in ENGINES, name))
+    installed = backend_names()
+    return sorted(names, key=lambda name: (name not in installed, name))
 
 
 def basis(runs: Sequence[Run]) -> str:
@@ -408,7 +410,7 @@ def _success(seeds: Sequence[Run], evaluation: str, space: str, engine: str | No
 
 
 def _nobody(algorithm: str) -> list[Value]:
-    return [algorithm_title(algorithm), "-", ENGINES["mujoco"], None, None, None, *cost(None)]
+    return [algorithm_title(algorithm), "-", engine_title("mujoco"), None, None, None, *cost(None)]
 
 
 def _engine_heads(engines: Sequence[str]) -> list[str]:

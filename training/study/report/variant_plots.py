@@ -9,9 +9,11 @@ from textwrap import fill
 
 import numpy as np
 
-from training.plots.style import algorithm_title, drawn, engine_title, short_count
+from cdcsr.plots import drawn
+from cdcsr.simulation.engines import engine_title
+from training.plots.style import algorithm_title, short_count
 from training.study.report.learning_curves import (
-    COLORS,
+    ALGORITHM_COLORS,
     aligned,
     by_kind,
     caption,
@@ -65,8 +67,8 @@ def _draw(
         lowest = 1.0
         for axes, (changed, plain) in zip(grid.flat, pairs, strict=False):
             for setting, label, color in (
-                (plain, algorithm_title(plain.algorithm), COLORS[plain.algorithm]),
-                (changed, _CHANGED, COLORS["td3wd"]),
+                (plain, algorithm_title(plain.algorithm), ALGORITHM_COLORS[plain.algorithm]),
+                (changed, _CHANGED, ALGORITHM_COLORS["td3wd"]),
             ):
                 group = groups.get(setting, [])
                 draw_curve(axes, setting, group, label, color, "-")
