@@ -21,13 +21,13 @@ from cdcsr.errors import CdcsrError, unknown_choice
 from cdcsr.files import write_bytes, write_json
 from cdcsr.robot.description import Robot, parse_robot
 from controllers.controller import Controller
-from training.networks.actor_critic import Activation, Actor
+from training.networks.actor import Activation, Actor
 
 Array = NDArray[np.float64]
 
 _WEIGHTS, _CARD = "policy.safetensors", "policy.json"
 _FORMATS = {False: 1, True: 2}
-"""By whether the policy folds what it sees: to a version that knows no folding, format 2 is a stranger."""
+"""File format: 1 without mirror symmetry, 2 with it. Older versions refuse 2."""
 
 
 class Policy(Controller):
@@ -104,7 +104,7 @@ class Policy(Controller):
         actor = self.actor
         card = {
             **self.card,
-            "format": _FORMATS[actor.folding is not None],
+            "format": _FORMATS[actor.mirror_symmetry is not None],
             "robot": self.robot.name,
             "robot_fingerprint": self.robot.fingerprint,
             "robot_description": self.robot.to_toml(),

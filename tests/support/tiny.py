@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from cdcsr.robot.description import Robot
-from training.networks.actor_critic import Actor
+from training.networks.actor import Actor
 from training.policy import Policy
 from training.run import locks
 from training.study.declare.grid import Budget

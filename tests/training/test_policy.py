@@ -14,7 +14,7 @@ from cdcsr.errors import CdcsrError
 from cdcsr.robot.description import load_robot
 from cdcsr.tasks.observation import observation_size
 from training.measure.evaluation import evaluate
-from training.networks.actor_critic import Actor
+from training.networks.actor import Actor
 from training.policy import Policy, find_policy, load_policy
 
 

@@ -12,7 +12,7 @@ from torch.nn import functional
 
 from cdcsr.robot.description import Robot
 from training.config.run_config import Learner
-from training.networks.actor_critic import Actor
+from training.networks.actor import Actor
 
 Progress = Callable[[int, float], None]
 
@@ -53,8 +53,8 @@ def pairs(actor: Actor, observations: Tensor, commands: Tensor) -> tuple[Tensor,
         commands: the demonstrator's set-points, shape (N, C), in [m].
     """
     wanted = actor.from_command(commands)
-    if actor.folding is not None:
-        observations, cables = actor.folding(observations)
+    if actor.mirror_symmetry is not None:
+        observations, cables = actor.mirror_symmetry(observations)
         wanted = wanted.gather(-1, cables)
     return actor.encoder(observations), wanted
 

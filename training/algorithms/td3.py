@@ -18,8 +18,9 @@ from cdcsr.robot.description import Robot
 from cdcsr.tasks.task import Reward
 from training.config.run_config import Learner
 from training.experience.replay import Batch
-from training.networks.actor_critic import Actor, Critics
-from training.networks.bfloat16 import products
+from training.networks.actor import Actor
+from training.networks.bfloat16 import matrix_products
+from training.networks.critics import Critics
 
 IMITATING = frozenset({"clone_anchor", "anchor_updates", "anchor_floor", "self_imitation"})
 """The numbers of a learner whose actor is held to the clone, and to what went well."""
@@ -82,7 +83,7 @@ class TD3:
         Returns:
             Scalars worth logging.
         """
-        with products(bfloat16=self.learner.bfloat16):
+        with matrix_products(bfloat16=self.learner.bfloat16):
             return self._update(batch)
 
     def _update(self, batch: Batch) -> dict[str, Tensor]:

@@ -20,8 +20,8 @@ from training.algorithms.registry import ALGORITHMS
 from training.bench.peer_process import MissingPeer, Peer
 from training.config.run_config import Learner, learner_for
 from training.experience.collector import FinishedEpisode
-from training.experience.mixed_replay import Memory
-from training.networks.bfloat16 import bfloat16_products, products
+from training.experience.mixed_replay import MixedReplay
+from training.networks.bfloat16 import has_fast_bfloat16, matrix_products
 
 _PRODUCTS = 50
 """Matrix products timed for every update: about as many operations."""
@@ -85,7 +85,7 @@ def update_speed(python: str, updates: int = 4, rounds: int = 40) -> dict[str, A
         "stable_baselines3": _own_time(others),
         "product": _own_time(_matrix_product()),
     }
-    if bfloat16_products():
+    if has_fast_bfloat16():
         turns |= {name + _BFLOAT16: _own_time(own_updates(name, bfloat16=True)) for name in OWN}
         turns["stable_baselines3" + _BFLOAT16] = _own_time(_in_bfloat16(others))
         turns["product" + _BFLOAT16] = _own_time(_in_bfloat16(_matrix_product()))
@@ -205,17 +205,17 @@ def own_updates(name: str = "batd3", bfloat16: bool = False) -> Callable[[int], 
     def clone(observations: NDArray[np.float64]) -> NDArray[np.float32]:
         return rng.uniform(-1, 1, (len(observations), cables)).astype(np.float32)
 
-    memory = Memory(robot, learner, clone, make_task("reach"))
+    replay = MixedReplay(robot, make_task("reach"), learner, clone)
     for _ in range(4):
         observations, actions = (
             rng.normal(size=(251, observation_size(robot))),
             rng.uniform(-1, 1, (250, cables)),
         )
-        memory.add(FinishedEpisode(observations, actions, rng.random(250), True, True), rng)
+        replay.add(FinishedEpisode(observations, actions, rng.random(250), True, True), rng)
 
     def run(updates: int) -> None:
         for _ in range(updates):
-            algorithm.update(memory.sample(rng))
+            algorithm.update(replay.sample(rng))
 
     return run
 
@@ -231,7 +231,7 @@ def _own_time(function: Callable[[int], None]) -> Callable[[int], float]:
 
 def _in_bfloat16(function: Callable[[int], None]) -> Callable[[int], None]:
     def run(count: int) -> None:
-        with products(bfloat16=True):
+        with matrix_products(bfloat16=True):
             function(count)
 
     return run

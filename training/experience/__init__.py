@@ -1,1 +1,1 @@
-"""Collected episodes, and the buffers that batches are drawn from."""
+"""Experience: the collection of episodes and the buffers that batches are drawn from."""

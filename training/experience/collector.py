@@ -1,10 +1,9 @@
-"""Steps the environments with the policy and held exploration noise, and hands over episodes as they end."""
+"""Collect episodes: step the environments with the actor and exploration noise."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 import torch
@@ -13,17 +12,17 @@ from numpy.typing import NDArray
 from cdcsr.envs.gym_env import TaskVectorEnv
 from cdcsr.tasks.observation import observation_size
 from training.config.run_config import Learner
-from training.networks.actor_critic import Actor
+from training.networks.actor import Actor
 
 Array = NDArray[np.float64]
 
 _ENVIRONMENT = "environment."
-"""Begins the names of the environment's arrays among the collector's."""
+"""Prefix of the environment's arrays among the collector's."""
 
 
 @dataclass(frozen=True)
 class FinishedEpisode:
-    """One episode of T actions as it came from the environment."""
+    """One episode of T actions as the environment gave it."""
 
     observations: Array
     """(T + 1, 23 + C)."""
@@ -33,26 +32,27 @@ class FinishedEpisode:
     """(T,)."""
     success: bool
     terminated: bool
-    """It ended by success; otherwise by running out of time, which may be a success where a target is followed."""
+    """The episode ended by success. Otherwise it ended at the time limit, which can be a success
+    too where a target is followed."""
 
 
 def exploration_noise(learner: Learner) -> Array:
-    """Standard deviation of the noise in each environment, shape (num_envs,), on actions in [-1, 1]."""
+    """Return the standard deviation of the noise on actions in [-1, 1], shape (num_envs,)."""
     if not learner.noise_ladder:
         return np.full(learner.num_envs, learner.exploration_noise)
     return np.linspace(0, 2 * learner.exploration_noise, learner.num_envs)
 
 
 class Collector:
-    """Runs a batch of environments, one action each at a time.
+    """Run a batch of environments, one action each at a time.
 
-    White noise at the control rate does nothing to this plant, which filters it out; so each draw of noise is
-    held for several actions. Copies change theirs at different times.
+    The robot filters out white noise at the control rate, so each draw of noise is held for
+    several actions. The environments draw at different times.
 
     Args:
-        env: with autoreset SAME_STEP.
-        noise: standard deviation, on actions in [-1, 1]; a number, or one for each environment.
-        hold: actions for which a draw is held.
+        env: with autoreset mode SAME_STEP.
+        noise: standard deviation on actions in [-1, 1]: a number, or one for each environment.
+        hold: number of actions for which a draw is held.
         rng: draws the noise.
     """
 
@@ -75,18 +75,14 @@ class Collector:
         self._observation, _ = self.env.reset(seed=seed)
 
     def step(self, actor: Actor) -> Iterator[FinishedEpisode]:
-        """One action in every environment; yields the episodes that ended with it."""
+        """Take one action in every environment; yield the episodes that it ended."""
         env, everyone = self.env, np.arange(self.env.num_envs)
         with torch.no_grad():
-            action = (
-                actor.act(torch.as_tensor(self._observation, dtype=torch.float32))
-                .numpy()
-                .astype(np.float64)
-            )
+            observed = torch.as_tensor(self._observation, dtype=torch.float32)
+            action = actor.act(observed).numpy().astype(np.float64)
         fresh = (everyone + self._count) % self._hold == 0
-        self._noise[fresh] = self._scale[fresh] * self._rng.normal(
-            size=(int(fresh.sum()), action.shape[1])
-        )
+        drawn = self._rng.normal(size=(int(fresh.sum()), action.shape[1]))
+        self._noise[fresh] = self._scale[fresh] * drawn
         self._count += 1
         action = np.clip(action + self._noise, -1, 1)
         at = env.actions_taken.copy()
@@ -106,8 +102,8 @@ class Collector:
                 bool(terminated[i]),
             )
 
-    def state_arrays(self) -> dict[str, NDArray[Any]]:
-        """All that is needed to go on from here, but for the generator of the noise."""
+    def state_arrays(self) -> dict[str, NDArray[np.generic]]:
+        """Return everything needed to continue, except the state of the noise generator."""
         own = {
             "observations": self._observations,
             "actions": self._actions,
@@ -118,8 +114,8 @@ class Collector:
         }
         return own | {f"{_ENVIRONMENT}{name}": rows for name, rows in self.env.get_state().items()}
 
-    def load_state_arrays(self, arrays: dict[str, NDArray[Any]]) -> None:
-        """Go on from arrays made by :meth:`state_arrays`."""
+    def load_state_arrays(self, arrays: Mapping[str, NDArray[np.generic]]) -> None:
+        """Continue from the arrays that :meth:`state_arrays` returned."""
         environment = {
             k.removeprefix(_ENVIRONMENT): v for k, v in arrays.items() if k.startswith(_ENVIRONMENT)
         }
@@ -127,4 +123,4 @@ class Collector:
         self._observations[:], self._actions[:] = arrays["observations"], arrays["actions"]
         self._rewards[:], self._noise[:] = arrays["rewards"], arrays["noise"]
         self._count = int(arrays["count"])
-        self._observation = arrays["observation"].copy()
+        self._observation = arrays["observation"].astype(np.float64)

@@ -1,4 +1,4 @@
-"""What a learner draws its batches from: collected episodes and, if wanted, others that are kept apart from them."""
+"""The replay of a learner: collected episodes and, optionally, a separate demonstration buffer."""
 
 from __future__ import annotations
 
@@ -15,85 +15,93 @@ from training.config.run_config import Learner
 from training.experience.collector import FinishedEpisode
 from training.experience.hindsight import relabel
 from training.experience.replay import Batch, Replay
-from training.networks.mirror import Folding
+from training.networks.mirror_symmetry import MirrorSymmetry
 
 Array = NDArray[np.float64]
 
 
-class Memory:
-    """Two replay buffers, of which the second is there only if a share of each batch is to come from it.
+class MixedReplay:
+    """A replay buffer, and a demonstration buffer if it has a share of every batch.
+
+    A task that does not end an episode at success pays for every action on target. Its sparse
+    reward is stored times 1 - discount, so that values lie in [0, 1] as in all other tasks.
 
     Args:
         robot: the description.
+        task: defines success for hindsight, and the reward.
         learner: the learner's numbers.
-        clone: from observations (n, 23 + C) to the behaviour clone's actions (n, C), once for each observation, so
-            that no update computes them again; None where nobody asks for them.
-        task: says to hindsight what success is. Where it does not end an episode, every action on target pays, and a
-            sparse reward is stored times 1 - discount: values then lie in [0, 1], as they do elsewhere.
+        clone: maps observations (n, 23 + C) to the behaviour clone's actions (n, C); called once
+            for each stored observation. None if the algorithm has no clone.
+
+    Attributes:
+        buffers: the buffers by the names that they have in a checkpoint: `replay` and, if there
+            is a demonstration buffer, `kept`.
     """
 
     def __init__(
         self,
         robot: Robot,
-        learner: Learner,
-        clone: Callable[[Array], NDArray[np.float32]] | None,
         task: Task,
+        learner: Learner,
+        clone: Callable[[Array], NDArray[np.float32]] | None = None,
     ) -> None:
         self._learner, self._clone, self._task = learner, clone, task
-        self._folding = Folding(robot) if learner.symmetry else None
-        self._pay = 1.0 if task.ends or task.reward_kind != "sparse" else 1 - learner.discount
-
-        def replay() -> Replay:
-            size = observation_size(robot)
-            return Replay(
-                learner.capacity, size, robot.num_cables, learner.discount, learner.return_steps
+        self._mirror_symmetry = MirrorSymmetry(robot) if learner.symmetry else None
+        endless = not task.ends and task.reward_kind == "sparse"
+        self._reward_scale = 1 - learner.discount if endless else 1.0
+        self.buffers = {
+            name: Replay(
+                learner.capacity,
+                observation_size(robot),
+                robot.num_cables,
+                learner.discount,
+                learner.return_steps,
             )
-
-        self.replays = {"replay": replay()}
-        """By name, for a checkpoint."""
-        if learner.kept_share > 0:
-            self.replays["kept"] = replay()
+            for name in (["replay", "kept"] if learner.kept_share > 0 else ["replay"])
+        }
 
     @property
     def ready(self) -> bool:
-        """Whether there is enough for a batch."""
-        return max(replay.size for replay in self.replays.values()) >= self._learner.batch_size
+        """Whether a batch can be drawn."""
+        return max(buffer.size for buffer in self.buffers.values()) >= self._learner.batch_size
 
-    def begin(self, episodes: Iterable[FinishedEpisode]) -> None:
-        """Store what is there before anything is collected; it is kept, if anything is."""
+    def prefill(self, episodes: Iterable[FinishedEpisode]) -> None:
+        """Store demonstrations, in the demonstration buffer if there is one."""
         for episode in episodes:
-            self._store(self.replays.get("kept", self.replays["replay"]), episode)
+            self._store(self.buffers.get("kept", self.buffers["replay"]), episode)
 
     def add(self, episode: FinishedEpisode, rng: np.random.Generator) -> None:
-        """Store a collected episode, and what hindsight makes of it."""
-        self._store(self.replays["replay"], episode)
-        if self._learner.keep_successes and episode.success and "kept" in self.replays:
-            self._store(self.replays["kept"], episode)
+        """Store a collected episode and its copies with targets chosen in hindsight."""
+        self._store(self.buffers["replay"], episode)
         for _ in range(self._learner.hindsight):
-            other = relabel(episode, self._task, rng)
-            if other is not None:
-                self._store(self.replays["replay"], other)
+            relabeled = relabel(episode, self._task, rng)
+            if relabeled is not None:
+                self._store(self.buffers["replay"], relabeled)
 
     def sample(self, rng: np.random.Generator) -> Batch:
-        """A batch, of which the kept episodes give their share, or all of it until enough is collected."""
-        size, collected = self._learner.batch_size, self.replays["replay"]
-        if "kept" not in self.replays:
+        """Draw a batch.
+
+        The demonstration buffer gives its share of the rows; it gives all of them until enough
+        episodes are collected.
+        """
+        size, collected = self._learner.batch_size, self.buffers["replay"]
+        if "kept" not in self.buffers:
             return collected.sample(size, rng)
-        kept = self.replays["kept"]
+        kept = self.buffers["kept"]
         if collected.size < size:
             return kept.sample(size, rng)
         share = round(self._learner.kept_share * size)
         parts = collected.sample(size - share, rng), kept.sample(share, rng)
         return Batch(*(torch.cat(both) for both in zip(*parts, strict=True)))
 
-    def _store(self, replay: Replay, episode: FinishedEpisode) -> None:
+    def _store(self, buffer: Replay, episode: FinishedEpisode) -> None:
         observations, actions = episode.observations, episode.actions
-        if self._folding is not None:
-            # Each row by itself: where the target moves, an episode's rows need not be folded alike. A value does not
-            # change with the image it is taken in, so a transition may lead from one to another.
-            folded, cables = self._folding(torch.from_numpy(observations))
-            observations = folded.numpy()
-            actions = np.take_along_axis(actions, cables.numpy()[:-1], -1)
+        if self._mirror_symmetry is not None:
+            # Each row has an image of its own: a moving target can cross a mirror plane. A
+            # transition may join two images, since the value is the same in all of them.
+            image = self._mirror_symmetry(torch.from_numpy(observations))
+            observations = image.observation.numpy()
+            actions = np.take_along_axis(actions, image.cables.numpy()[:-1], -1)
         clone = None if self._clone is None else self._clone(observations)
-        rewards = self._pay * episode.rewards - self._learner.step_cost
-        replay.add_episode(observations, actions, rewards, episode.terminated, clone)
+        rewards = self._reward_scale * episode.rewards
+        buffer.add_episode(observations, actions, rewards, episode.terminated, clone)

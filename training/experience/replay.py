@@ -1,4 +1,4 @@
-"""Replay of whole episodes, with n-step returns worked out as each episode is stored."""
+"""A replay buffer of whole episodes; n-step returns are computed when an episode is stored."""
 
 from __future__ import annotations
 
@@ -14,34 +14,34 @@ Array = NDArray[np.float64]
 
 
 class Batch(NamedTuple):
-    """Transitions over up to n actions, B of them."""
+    """B transitions, each over up to n actions."""
 
     observation: Tensor
     """(B, 23 + C)."""
     action: Tensor
     """(B, C), in [-1, 1]."""
     reward: Tensor
-    """(B,) discounted sum of the rewards on the way."""
+    """(B,), the discounted sum of the rewards from observation to next observation."""
     discount: Tensor
-    """(B,) weight of the value at the end: gamma^steps, or 0 after success."""
+    """(B,), the weight of the value at the next observation: gamma^steps, or 0 after success."""
     next_observation: Tensor
     """(B, 23 + C)."""
     bc_action: Tensor
-    """(B, C), the behaviour clone's action at the beginning, in [-1, 1]."""
+    """(B, C), the behaviour clone's action at the observation, in [-1, 1]."""
     next_bc_action: Tensor
-    """(B, C), the behaviour clone's action at the end, in [-1, 1]."""
+    """(B, C), the behaviour clone's action at the next observation, in [-1, 1]."""
     outcome: Tensor
-    """(B,) discounted sum of the rewards from the beginning to the end of the episode."""
+    """(B,), the discounted sum of the rewards from the observation to the end of the episode."""
 
 
 class Replay:
-    """A ring of rows, one for each observation; an episode of T actions takes T + 1 consecutive ones.
+    """A ring of rows, one for each observation; an episode of T actions takes T + 1 in sequence.
 
-    The last row of an episode is only ever somebody's successor. Because rows are overwritten in the order
-    in which they came, a row's successor is there as long as the row is.
+    The last row of an episode begins no transition; it is only the successor of others. Rows are
+    overwritten in the order in which they came, so a row's successor exists as long as the row.
 
     Args:
-        capacity: rows.
+        capacity: number of rows.
         observation_size, action_size: widths.
         discount: gamma.
         return_steps: n.
@@ -56,7 +56,7 @@ class Replay:
         return_steps: int,
     ) -> None:
         self.capacity, self.discount, self.return_steps = capacity, discount, return_steps
-        # Room is taken once, but the system gives memory only to pages that are written.
+        # The arrays are made at full size; the system gives memory only to pages that are written.
         self.rows = {
             "observation": np.zeros((capacity, observation_size), np.float32),
             "action": np.zeros((capacity, action_size), np.float32),
@@ -80,10 +80,10 @@ class Replay:
         """Store an episode of T actions.
 
         Args:
-            observations: shape (T + 1, n).
+            observations: shape (T + 1, 23 + C).
             actions: shape (T, C), in [-1, 1].
             rewards: shape (T,).
-            terminated: it ended by success; otherwise its end is bootstrapped.
+            terminated: the episode ended by success; otherwise its end is bootstrapped.
             bc_actions: the behaviour clone's action at each observation, shape (T + 1, C).
         """
         length = len(actions)
@@ -104,13 +104,12 @@ class Replay:
         self.size = min(self.size + length + 1, self.capacity)
 
     def sample(self, batch_size: int, rng: np.random.Generator) -> Batch:
-        """Transitions drawn uniformly, with replacement."""
+        """Draw transitions uniformly, with replacement."""
         rows = self.rows
         chosen = rng.integers(self.size, size=batch_size)
         successor = rows["successor"][chosen]
-        while (
-            last := successor < 0
-        ).any():  # last rows of episodes begin nothing: draw those again
+        # The last row of an episode begins no transition: draw again.
+        while (last := successor < 0).any():
             chosen[last] = rng.integers(self.size, size=int(last.sum()))
             successor = rows["successor"][chosen]
         return Batch(
@@ -126,7 +125,7 @@ class Replay:
 
 
 def returns_to_go(rewards: Array, discount: float) -> Array:
-    """Discounted sums of the rewards from each action of an episode to its last: shape (T,) -> (T,)."""
+    """Return the discounted sum of the rewards from each action to the last: (T,) -> (T,)."""
     backwards = accumulate(
         reversed(rewards.tolist()), lambda later, reward: reward + discount * later
     )
@@ -134,7 +133,7 @@ def returns_to_go(rewards: Array, discount: float) -> Array:
 
 
 def n_step_returns(rewards: Array, discount: float, steps: int) -> tuple[Array, NDArray[np.int64]]:
-    """Discounted sums over up to n rewards, and where each ends.
+    """Return the discounted sums of up to n rewards, and where each of them ends.
 
     Args:
         rewards: shape (T,).
@@ -142,7 +141,8 @@ def n_step_returns(rewards: Array, discount: float, steps: int) -> tuple[Array, 
         steps: n.
 
     Returns:
-        Sums, shape (T,), of gamma^k r_{t+k} for k < min(n, T - t); and min(t + n, T), shape (T,).
+        The sums of gamma^k r_{t+k} for k < min(n, T - t), shape (T,); and min(t + n, T), shape
+        (T,).
     """
     length = len(rewards)
     padded = np.concatenate([rewards, np.zeros(steps)])

@@ -1,1 +1,1 @@
-"""Actors, critics and their encodings."""
+"""Networks: the encoder of observations, the actor, the critics and their compiled arithmetic."""

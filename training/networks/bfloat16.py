@@ -1,4 +1,4 @@
-"""Matrix products with factors in bfloat16 and sums in float32, as processors with AMX multiply fastest."""
+"""Matrix products with bfloat16 factors and float32 sums, the fastest on processors with AMX."""
 
 from __future__ import annotations
 
@@ -10,11 +10,11 @@ import torch
 
 
 @contextmanager
-def products(*, bfloat16: bool) -> Iterator[None]:
-    """Multiply float32 matrices in bfloat16, or as ever; all else is in float32 as ever.
+def matrix_products(*, bfloat16: bool) -> Iterator[None]:
+    """Let float32 matrix products round their factors to bfloat16, if `bfloat16` is set.
 
-    bfloat16 has float32's range and 8 bits of its 24-bit fraction, so what is rounded is each factor, once, by up to a
-    256th of itself.
+    Everything but matrix products stays in float32. bfloat16 has the range of float32 and 8 of
+    its 24 significant bits, so each factor is rounded once, by at most 1/256 of itself.
     """
     if not bfloat16:
         yield
@@ -28,8 +28,11 @@ def products(*, bfloat16: bool) -> Iterator[None]:
 
 
 @cache
-def bfloat16_products() -> bool:
-    """Whether this processor multiplies faster in bfloat16: torch then does, by what a product comes to."""
+def has_fast_bfloat16() -> bool:
+    """Return whether this processor multiplies faster in bfloat16.
+
+    Torch uses bfloat16 only where it is faster; the rounding of a product shows whether it did.
+    """
     fine = torch.full((256, 256), 1 + 2**-10)
-    with products(bfloat16=True):
+    with matrix_products(bfloat16=True):
         return not torch.equal(torch.mm(fine, torch.eye(256)), fine)

@@ -1,7 +1,8 @@
-"""What surrounds the matrix products of a layer, compiled: one pass over the activations instead of several.
+"""Compiled loops for everything in a layer but its matrix product: one pass over the activations.
 
-All work in place on contiguous arrays of one type, rows of a batch by units of a layer. NaN stays NaN. Zeros are
-taken from an array to have its type: a literal would turn the arithmetic of a loop into double precision.
+The kernels work in place on contiguous arrays of one type: rows are samples of a batch, columns
+are units of a layer. NaN stays NaN. Zeros are taken from an array so that they have its type: a
+literal would turn the arithmetic of a loop into double precision.
 """
 
 from __future__ import annotations
@@ -10,20 +11,17 @@ import numba
 import numpy as np
 from numpy.typing import NDArray
 
-_FAST = {
-    "reassoc",
-    "contract",
-    "arcp",
-    "nsz",
-}  # sums may be reordered; NaN and infinity keep their meaning
-_EPS = 1e-5  # as in nn.LayerNorm
+# Sums may be reordered; NaN and infinity keep their meaning.
+_FAST = {"reassoc", "contract", "arcp", "nsz"}
+_EPS = 1e-5
+"""Added to the variance, as in `nn.LayerNorm`."""
 
 Floats = NDArray[np.floating]
 
 
 @numba.njit(cache=True, fastmath=_FAST)
 def rectify(x: Floats, bias: Floats) -> None:
-    """x becomes relu(x + bias)."""
+    """Replace x by relu(x + bias)."""
     for i in range(x.shape[0]):
         row = x[i]
         for j in range(x.shape[1]):
@@ -35,12 +33,12 @@ def rectify(x: Floats, bias: Floats) -> None:
 
 @numba.njit(cache=True, fastmath=_FAST)
 def back_rectify(delta: Floats, after: Floats, bias_gradient: Floats) -> None:
-    """Take a gradient through `rectify`.
+    """Take a gradient back through `rectify`.
 
     Args:
-        delta: with respect to what came out; becomes that with respect to what went in.
-        after: what came out.
-        bias_gradient: is overwritten.
+        delta: gradient with respect to the output; replaced by that with respect to the input.
+        after: the output of `rectify`.
+        bias_gradient: overwritten.
     """
     bias_gradient[:] = 0
     zero = np.zeros(1, delta.dtype)[0]
@@ -56,13 +54,13 @@ def back_rectify(delta: Floats, after: Floats, bias_gradient: Floats) -> None:
 def normalize(
     x: Floats, bias: Floats, gain: Floats, shift: Floats, inverse: Floats, after: Floats
 ) -> None:
-    """`after` becomes relu(LayerNorm(x + bias)); x becomes what LayerNorm has before gain and shift.
+    """Write relu(LayerNorm(x + bias)) to `after`; x becomes its value before gain and shift.
 
     Args:
         x: shape (B, m).
         bias, gain, shift: shape (m,).
-        inverse: becomes the inverse standard deviation of each row, shape (B,).
-        after: shape (B, m).
+        inverse: overwritten by the inverse standard deviation of each row, shape (B,).
+        after: overwritten, shape (B, m).
     """
     width, zero, share = x.shape[1], np.zeros(1, x.dtype)[0], np.full(1, 1 / x.shape[1], x.dtype)[0]
     for i in range(x.shape[0]):
@@ -94,20 +92,18 @@ def back_normalize(
     gain_gradient: Floats,
     shift_gradient: Floats,
 ) -> None:
-    """Take a gradient through `normalize`.
+    """Take a gradient back through `normalize`.
 
     Args:
-        delta: with respect to what came out; becomes that with respect to what went in, shape (B, m).
+        delta: gradient with respect to the output, shape (B, m); replaced by that with respect
+            to the input.
         normal, after, inverse: what `normalize` left in `x`, `after` and `inverse`.
         gain: shape (m,).
-        bias_gradient, gain_gradient, shift_gradient: are overwritten.
+        bias_gradient, gain_gradient, shift_gradient: overwritten.
     """
     bias_gradient[:], gain_gradient[:], shift_gradient[:] = 0, 0, 0
-    width, zero, share = (
-        delta.shape[1],
-        np.zeros(1, delta.dtype)[0],
-        np.full(1, 1 / delta.shape[1], delta.dtype)[0],
-    )
+    width, zero = delta.shape[1], np.zeros(1, delta.dtype)[0]
+    share = np.full(1, 1 / delta.shape[1], delta.dtype)[0]
     for i in range(delta.shape[0]):
         row, unit, out, scale = delta[i], normal[i], after[i], inverse[i]
         for j in range(width):
@@ -130,12 +126,12 @@ def back_normalize(
 
 @numba.njit(cache=True, fastmath=_FAST)
 def head(below: Floats, weight: Floats, bias: Floats, value: Floats) -> None:
-    """`value` becomes below @ weight + bias: the one output of a network.
+    """Write below @ weight + bias, the one output of a network, to `value`.
 
     Args:
         below: shape (B, n).
         weight, bias: shapes (n,) and (1,).
-        value: shape (B,).
+        value: overwritten, shape (B,).
     """
     for i in range(below.shape[0]):
         row = below[i]
@@ -154,13 +150,13 @@ def back_head(
     weight_gradient: Floats,
     bias_gradient: Floats,
 ) -> None:
-    """Take a gradient through `head`.
+    """Take a gradient back through `head`.
 
     Args:
-        slope: with respect to what came out, shape (B,).
-        below, weight: what went in.
-        delta: becomes the gradient with respect to `below`, shape (B, n).
-        weight_gradient, bias_gradient: are overwritten.
+        slope: gradient with respect to the output, shape (B,).
+        below, weight: the inputs of `head`.
+        delta: overwritten by the gradient with respect to `below`, shape (B, n).
+        weight_gradient, bias_gradient: overwritten.
     """
     weight_gradient[:], bias_gradient[:] = 0, 0
     for i in range(below.shape[0]):

@@ -15,7 +15,7 @@ from safetensors.torch import save_file
 from cdcsr.errors import CdcsrError
 from training.algorithms.td3 import TD3
 from training.experience.collector import Collector
-from training.experience.mixed_replay import Memory
+from training.experience.mixed_replay import MixedReplay
 
 _META = "run"
 
@@ -23,7 +23,7 @@ _META = "run"
 def save_state(
     path: Path,
     learner: TD3,
-    memory: Memory,
+    replay: MixedReplay,
     collector: Collector,
     generators: dict[str, np.random.Generator],
     torch_generator: torch.Generator,
@@ -37,10 +37,10 @@ def save_state(
         for i, state in optimizer.state_dict()["state"].items():
             tensors |= {f"{name}.{i}.{key}": torch.as_tensor(value) for key, value in state.items()}
     # Rows of the ring that hold something; slices share memory, so nothing is copied here.
-    for name, replay in memory.replays.items():
+    for name, buffer in replay.buffers.items():
         tensors |= {
-            f"{name}.{key}": torch.from_numpy(rows[: replay.size])
-            for key, rows in replay.rows.items()
+            f"{name}.{key}": torch.from_numpy(rows[: buffer.size])
+            for key, rows in buffer.rows.items()
         }
     tensors |= {
         f"env.{key}": torch.from_numpy(np.asarray(value))
@@ -49,7 +49,7 @@ def save_state(
     meta = {
         "counters": counters,
         "replays": {
-            name: [replay.position, replay.size] for name, replay in memory.replays.items()
+            name: [buffer.position, buffer.size] for name, buffer in replay.buffers.items()
         },
         "updates": learner.updates,
         "generators": {name: g.bit_generator.state for name, g in generators.items()},
@@ -66,7 +66,7 @@ def save_state(
 def load_state(
     path: Path,
     learner: TD3,
-    memory: Memory,
+    replay: MixedReplay,
     collector: Collector,
     generators: dict[str, np.random.Generator],
     torch_generator: torch.Generator,
@@ -88,10 +88,10 @@ def load_state(
                 index, field = key.split(".")
                 state.setdefault(int(index), {})[field] = value
             optimizer.load_state_dict({**optimizer.state_dict(), "state": state})
-        for name, replay in memory.replays.items():
-            replay.position, replay.size = meta["replays"][name]
-            for key, rows in replay.rows.items():
-                rows[: replay.size] = tensors[f"{name}.{key}"].numpy()
+        for name, buffer in replay.buffers.items():
+            buffer.position, buffer.size = meta["replays"][name]
+            for key, rows in buffer.rows.items():
+                rows[: buffer.size] = tensors[f"{name}.{key}"].numpy()
         learner.updates = meta["updates"]
         arrays: dict[str, NDArray[Any]] = {
             key: value.numpy() for key, value in _below(tensors, "env.").items()

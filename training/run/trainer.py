@@ -33,10 +33,10 @@ from training.algorithms.td3 import TD3
 from training.config.run_config import Train
 from training.config.seeds import VALIDATION_SEED
 from training.experience.collector import Collector, FinishedEpisode, exploration_noise
-from training.experience.mixed_replay import Memory
+from training.experience.mixed_replay import MixedReplay
 from training.measure.evaluation import Result, evaluate
-from training.networks.actor_critic import Actor
-from training.networks.bfloat16 import bfloat16_products
+from training.networks.actor import Actor
+from training.networks.bfloat16 import has_fast_bfloat16
 from training.policy import Policy, load_policy
 from training.run.checkpoint import load_state, save_state
 from training.run.heeded import refuse_unheeded
@@ -85,7 +85,7 @@ class Run:
             )
         self._check_memory(actions_per_episode(task.max_steps, config.frame_skip))
         refuse_unheeded(config)
-        if config.learner.bfloat16 and not bfloat16_products():
+        if config.learner.bfloat16 and not has_fast_bfloat16():
             raise CdcsrError("bfloat16 must be off: this processor multiplies no faster in it.")
         self.reward: Reward = (
             "sparse" if config.algorithm == "bc" else ALGORITHMS[config.algorithm].reward
@@ -197,7 +197,7 @@ class Run:
 
             yield progress
 
-    def _begin(self, memory: Memory, algorithm: TD3, clone: BehaviourCloning | None) -> None:
+    def _begin(self, replay: MixedReplay, algorithm: TD3, clone: BehaviourCloning | None) -> None:
         """Let the learner begin with what the algorithm is given: demonstrations, the clone's successes, its skill."""
         episodes = list(self.episodes) if algorithm.uses_demonstrations else []
         rollouts = self.config.learner.bc_rollouts
@@ -209,7 +209,7 @@ class Run:
             ).successes()
             env.close()
         actor = algorithm.actor
-        memory.begin(
+        replay.prefill(
             FinishedEpisode(
                 episode.observations,
                 actor.from_command(_tensor(episode.actions)).numpy(),
@@ -242,7 +242,9 @@ class Run:
             env.space = beyond(env.space, learner.practice, self.robot)
         collector = Collector(env, exploration_noise(learner), learner.noise_hold, streams[0])
         try:
-            memory = Memory(self.robot, learner, None if clone is None else clone.actions, env.task)
+            replay = MixedReplay(
+                self.robot, env.task, learner, None if clone is None else clone.actions
+            )
         except MemoryError:
             raise CdcsrError(
                 f"capacity {learner.capacity} does not fit into this machine's memory."
@@ -256,11 +258,11 @@ class Run:
         }
         collector.start(config.seed)
         generators = {"noise": streams[0], "sample": streams[1], "hindsight": streams[2]}
-        everything = (algorithm, memory, collector, generators, self.torch_generator)
+        everything = (algorithm, replay, collector, generators, self.torch_generator)
         if state_path.exists():
             counters = load_state(state_path, *everything)
         else:
-            self._begin(memory, algorithm, clone)
+            self._begin(replay, algorithm, clone)
         self.minutes_before = counters["minutes"]
         recent = deque((bool(x) for x in counters["recent"]), maxlen=200)
         metrics = Metrics(self.folder, counters["update"])
@@ -272,9 +274,9 @@ class Run:
                 if (update - 1) % learner.updates_per_step == 0:
                     for episode in collector.step(algorithm.actor):
                         recent.append(episode.success)
-                        memory.add(episode, streams[2])
-                if memory.ready:
-                    meter.add(algorithm.update(memory.sample(streams[1])))
+                        replay.add(episode, streams[2])
+                if replay.ready:
+                    meter.add(algorithm.update(replay.sample(streams[1])))
                 bar.update(update - bar.n)
                 if update % 50 == 0:
                     bar.set_postfix(

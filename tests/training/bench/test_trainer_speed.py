@@ -10,7 +10,7 @@ import torch
 from cdcsr.robot.description import load_robot
 from training.bench import trainer_speed as bench
 from training.config.run_config import Learner
-from training.networks.bfloat16 import bfloat16_products
+from training.networks.bfloat16 import has_fast_bfloat16
 
 
 def test_every_speed_is_a_ratio_of_the_same_updates(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -28,7 +28,7 @@ def test_every_speed_is_a_ratio_of_the_same_updates(monkeypatch: pytest.MonkeyPa
 
     monkeypatch.setattr(bench, "own_updates", counted)
     speed = bench.update_speed(sys.executable, updates=2, rounds=1)
-    kinds = ("", "_bfloat16") if bfloat16_products() else ("",)
+    kinds = ("", "_bfloat16") if has_fast_bfloat16() else ("",)
     # A turn to warm up, and one that is measured.
     assert done == dict.fromkeys([name + kind for name in bench.OWN for kind in kinds], 4)
     assert (speed["bfloat16"] is not None) == ("_bfloat16" in kinds)

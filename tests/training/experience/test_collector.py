@@ -1,4 +1,4 @@
-"""What is collected and stored, against what the environments themselves said."""
+"""Collected and stored transitions against a log of the environments."""
 
 from __future__ import annotations
 
@@ -16,8 +16,8 @@ from cdcsr.tasks.observation import observation_size
 from tests.support.tiny import FRAME_SKIP
 from training.config.run_config import Learner
 from training.experience.collector import Collector, exploration_noise
-from training.experience.mixed_replay import Memory
-from training.networks.actor_critic import Actor
+from training.experience.mixed_replay import MixedReplay
+from training.networks.actor import Actor
 
 NUM, STEPS, GAMMA = 5, 4, 0.9
 LEARNER = Learner(
@@ -36,28 +36,26 @@ LEARNER = Learner(
 @pytest.mark.parametrize(
     ("task", "threshold"), [("reach", 0.6), ("capture", 1.0), ("follow-random", 0.5)]
 )
-def test_what_is_stored_is_what_happened(task: str, threshold: float) -> None:
+def test_stored_transitions_are_those_of_the_environment(task: str, threshold: float) -> None:
     torch.manual_seed(0)
     robot = load_robot("paper")
     env = TaskVectorEnv(
         NUM, robot, "mujoco", "spatter", "sparse", FRAME_SKIP, task=task, threshold=threshold
     )
-    if task == "capture":
-        env.task = replace(cast(Any, env.task), speed=50.0, dwell=0.05)  # so that chance captures
+    if task == "capture":  # easy enough for random actions
+        env.task = replace(cast(Any, env.task), speed=50.0, dwell=0.05)
     actor = Actor(robot, True, (8, 8), "relu")
     collector = Collector(
         env, exploration_noise(LEARNER), LEARNER.noise_hold, np.random.default_rng(0)
     )
-    memory = Memory(
-        robot, LEARNER, lambda seen: np.tile(seen[:, :1], (1, 8)).astype(np.float32), env.task
-    )
+    replay = MixedReplay(robot, env.task, LEARNER)
     log, outcomes = _logged(env), []
     collector.start(3)
     for _ in range(230):
         for episode in collector.step(actor):
-            memory.add(episode, np.random.default_rng(1))
+            replay.add(episode, np.random.default_rng(1))
             outcomes.append(episode.success)
-    if task == "reach":  # some end by success, some by running out of time
+    if task == "reach":  # some episodes succeed, some reach the time limit
         assert {True, False} == set(outcomes)
     paid = [one[2] for episodes in log for episode in episodes for one in episode]
     assert 0 < np.count_nonzero(paid) < len(paid)
@@ -72,11 +70,11 @@ def test_what_is_stored_is_what_happened(task: str, threshold: float) -> None:
             expected[np.float32(observation).tobytes()] = (
                 command,
                 sum(GAMMA ** (k - t) * rewards[k] for k in range(t, end)),
-                0 if stops else GAMMA ** (end - t),  # through time limits it goes on
+                0 if stops else GAMMA ** (end - t),  # time limits are bootstrapped
                 episode[end - 1][3],
                 sum(GAMMA ** (k - t) * rewards[k] for k in range(t, len(episode))),
             )
-    rows, found = memory.replays["replay"], 0
+    rows, found = replay.buffers["replay"], 0
     for row in np.flatnonzero(rows.rows["successor"][: rows.size] >= 0):
         stored = {name: values[row] for name, values in rows.rows.items()}
         command, reward, discount, following, outcome = expected[stored["observation"].tobytes()]
@@ -93,7 +91,7 @@ def test_what_is_stored_is_what_happened(task: str, threshold: float) -> None:
 
 
 def _logged(env: TaskVectorEnv) -> list[list[list[tuple[Any, ...]]]]:
-    """Of each environment its episodes, of each of their actions what the environment was told and said."""
+    """Log steps by environment and episode: (observation, command, reward, next, terminated)."""
     log: list[list[list[tuple[Any, ...]]]] = [[[]] for _ in range(env.num_envs)]
     step, reset = env.step, env.reset
     seen: dict[str, NDArray[Any]] = {}
@@ -121,7 +119,7 @@ def _logged(env: TaskVectorEnv) -> list[list[list[tuple[Any, ...]]]]:
 
 
 class _Still:
-    """An actor whose action is zero, and the environment that it does not move."""
+    """An actor whose action is zero, and an environment whose observation is zero."""
 
     def __init__(self, robot: Robot) -> None:
         self.num_envs, self.max_actions, self.robot = NUM, 1000, robot
@@ -147,7 +145,7 @@ class _Still:
         return np.zeros((NUM, observation_size(self.robot)))
 
 
-def test_noise_is_held_changed_at_different_times_and_goes_up_a_ladder(small_robot: Robot) -> None:
+def test_noise_is_held_and_grows_along_the_environments(small_robot: Robot) -> None:
     still, learner = _Still(small_robot), replace(LEARNER, exploration_noise=0.1)
     collector = Collector(
         cast(TaskVectorEnv, still),

@@ -32,7 +32,8 @@ def test_returns_to_go_by_hand() -> None:
 def test_transitions_of_a_successful_episode() -> None:
     replay = Replay(10, 2, 1, discount=0.5, return_steps=3)
     _episode(replay, 4, success=True, mark=1)
-    # From step 1 on, three actions reach the end: the reward counts, discounted, and nothing is bootstrapped.
+    # From step 1 on, three actions reach the end: the discounted reward counts, nothing is
+    # bootstrapped.
     np.testing.assert_allclose(replay.rows["reward"][:4], [0, 0.25, 0.5, 1])
     np.testing.assert_allclose(replay.rows["discount"][:4], [0.125, 0, 0, 0])
     np.testing.assert_allclose(replay.rows["outcome"][:4], [0.125, 0.25, 0.5, 1])
@@ -46,14 +47,14 @@ def test_a_time_limit_is_bootstrapped_through() -> None:
     np.testing.assert_allclose(replay.rows["reward"][:4], 0)
 
 
-def test_samples_belong_together_while_the_ring_turns() -> None:
+def test_transitions_stay_whole_while_rows_are_overwritten() -> None:
     rng = np.random.default_rng(0)
     replay = Replay(23, 2, 1, discount=0.9, return_steps=3)
     for mark in range(1, 30):
         _episode(replay, int(rng.integers(1, 9)), success=bool(mark % 2), mark=float(mark))
         batch = replay.sample(64, rng)
         step, following = batch.observation[:, 1], batch.next_observation[:, 1]
-        # One episode on both sides, one to three steps on, with the action and the clone's action that go with it.
+        # Both sides are of one episode, one to three steps apart, with the right actions.
         assert (batch.observation[:, 0] == batch.next_observation[:, 0]).all()
         assert ((following - step >= 1) & (following - step <= 3)).all()
         np.testing.assert_allclose(batch.action[:, 0], batch.observation[:, 0] / 10, rtol=1e-6)
@@ -62,7 +63,7 @@ def test_samples_belong_together_while_the_ring_turns() -> None:
     assert {int(m) for m in replay.rows["observation"][:, 0]} <= set(range(20, 30))
 
 
-def test_every_transition_is_drawn_alike() -> None:
+def test_transitions_are_drawn_uniformly() -> None:
     replay = Replay(10, 2, 1, discount=0.9, return_steps=1)
     _episode(replay, 5, success=True, mark=1)
     steps = replay.sample(20_000, np.random.default_rng(0)).observation[:, 1].numpy()

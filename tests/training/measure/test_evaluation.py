@@ -29,7 +29,7 @@ from training.measure.transfer_matrix import (
     other_targets,
     transfer,
 )
-from training.networks.actor_critic import Actor
+from training.networks.actor import Actor
 from training.plots import run_plots as figures
 from training.policy import Policy, find_policy
 

@@ -24,8 +24,8 @@ from training.commands.demonstrate import demonstrate
 from training.config.run_config import PRESETS, Train, learner_for
 from training.experience.collector import Collector
 from training.measure.evaluation import Result
-from training.networks.actor_critic import Actor
-from training.networks.bfloat16 import bfloat16_products
+from training.networks.actor import Actor
+from training.networks.bfloat16 import has_fast_bfloat16
 from training.policy import Policy, load_policy
 from training.run.heeded import refuse_unheeded
 from training.run.trainer import Run, train
@@ -100,7 +100,7 @@ _EVERYTHING = dataclasses.replace(
             "batd3",
             {"learner": dataclasses.replace(_SMALL, hidden=(64, 64), batch_size=64, bfloat16=True)},
             marks=pytest.mark.skipif(
-                not bfloat16_products(), reason="this processor has no use for bfloat16"
+                not has_fast_bfloat16(), reason="this processor has no use for bfloat16"
             ),
         ),
         ("clasp", {"learner": _EVERYTHING}),

@@ -19,7 +19,7 @@ from training.config.ranges import EVALUATION_SEEDS
 from training.config.run_config import PRESETS, Train, learner_for
 from training.config.seeds import TEST_SEED, VALIDATION_SEED
 from training.experience.collector import Collector, FinishedEpisode
-from training.networks.actor_critic import Actor
+from training.networks.actor import Actor
 from training.run import trainer
 from training.run.heeded import refuse_unheeded
 from training.run.locks import Busy, lock
@@ -219,7 +219,7 @@ def test_a_replay_that_does_not_fit_into_memory_is_one_line(
     def full(*_: object) -> None:
         raise MemoryError
 
-    monkeypatch.setattr(trainer, "Memory", full)
+    monkeypatch.setattr(trainer, "MixedReplay", full)
     with pytest.raises(CdcsrError, match="capacity 1000000 does not fit"):
         train(config(tmp_path / "run", demonstrations, algorithm="td3"))
 

@@ -1,4 +1,4 @@
-"""Folding: one action for all images of a situation, and a learner that sees only one part of the space."""
+"""Mirror symmetry: mirrored situations give mirrored actions, and share what is learned."""
 
 from __future__ import annotations
 
@@ -21,9 +21,9 @@ from controllers.demonstrations import rollout
 from training.algorithms.bc import BehaviourCloning
 from training.config.run_config import Learner, Train, learner_for
 from training.experience.collector import Collector, FinishedEpisode
-from training.experience.mixed_replay import Memory
-from training.networks.actor_critic import Actor
-from training.networks.mirror import Folding
+from training.experience.mixed_replay import MixedReplay
+from training.networks.actor import Actor
+from training.networks.mirror_symmetry import MirrorSymmetry
 from training.policy import Policy, find_policy, load_policy
 from training.run.trainer import train
 
@@ -39,9 +39,9 @@ def _observations(robot: Robot, count: int = 20) -> NDArray[np.float64]:
     return np.random.default_rng(0).normal(size=(count, observation_size(robot)))
 
 
-def test_a_policy_does_the_image_of_what_it_does(robot: Robot) -> None:
+def test_a_mirrored_observation_gives_the_mirrored_action(robot: Robot) -> None:
     torch.manual_seed(0)
-    actor = Actor(robot, True, (16,), "relu", symmetry=True).double()
+    actor = Actor(robot, True, (16,), "relu", mirror_symmetry=True).double()
     plain = Actor(robot, True, (16,), "relu").double()
     observations = _observations(robot)
 
@@ -57,19 +57,20 @@ def test_a_policy_does_the_image_of_what_it_does(robot: Robot) -> None:
         assert np.abs(does(plain, seen) - image.command(does(plain, observations))).max() > 0.01
 
 
-def test_all_targets_are_folded_into_one_part() -> None:
+def test_all_targets_are_mirrored_into_one_quarter() -> None:
     robot = load_robot("paper")
     observations = torch.from_numpy(_observations(robot))
-    folded = Folding(robot)(observations).observation
-    target = folded[:, TARGET]
+    canonical = MirrorSymmetry(robot)(observations).observation
+    target = canonical[:, TARGET]
     torch.testing.assert_close(
         target, torch.stack([*observations[:, TARGET][:, :2].abs().T, target[:, 2]], 1)
     )
-    torch.testing.assert_close(Folding(robot)(folded).observation, folded, rtol=0, atol=0)
+    again = MirrorSymmetry(robot)(canonical).observation
+    torch.testing.assert_close(again, canonical, rtol=0, atol=0)
 
 
-def test_rows_are_stored_folded(robot: Robot) -> None:
-    """Whichever image of an episode is collected, the same is stored, also where the target goes elsewhere midway."""
+def test_all_images_of_an_episode_are_stored_alike(robot: Robot) -> None:
+    """This holds for a target that moves during the episode, too."""
     length, rng = 30, np.random.default_rng(1)
     observations, actions = (
         _observations(robot, length + 1),
@@ -79,10 +80,10 @@ def test_rows_are_stored_folded(robot: Robot) -> None:
     for image in images(robot):
         clone = BehaviourCloning(robot, _LEARNER, torch.Generator())
         clone.actor.load_state_dict(_clone(robot).actor.state_dict())
-        memory = Memory(robot, _LEARNER, clone.actions, make_task("reach"))
+        replay = MixedReplay(robot, make_task("reach"), _LEARNER, clone.actions)
         episode = image.observation(observations), image.command(actions), np.eye(length)[-1]
-        memory.begin([FinishedEpisode(*episode, True, True)])
-        stored.append({name: rows[:length] for name, rows in memory.replays["replay"].rows.items()})
+        replay.prefill([FinishedEpisode(*episode, True, True)])
+        stored.append({name: rows[:length] for name, rows in replay.buffers["replay"].rows.items()})
     for other in stored[1:]:
         for name, rows in other.items():
             np.testing.assert_allclose(rows, stored[0][name], atol=1e-6, err_msg=name)
@@ -94,28 +95,26 @@ def _clone(robot: Robot) -> BehaviourCloning:
     return BehaviourCloning(robot, _LEARNER, torch.Generator().manual_seed(0))
 
 
-def test_what_is_collected_is_what_the_actor_does_in_the_folded_frame() -> None:
-    """Exploration folds, and each row is stored in its own frame: targets here drift across a mirror plane."""
+def test_collected_actions_are_the_actors_at_the_canonical_image() -> None:
+    """Each row is mirrored by itself: these targets drift across a mirror plane."""
     robot = load_robot("paper")
     torch.manual_seed(0)
-    actor, learner = (
-        Actor(robot, True, (16,), "relu", symmetry=True),
-        dataclasses.replace(_LEARNER, capacity=2000),
-    )
+    actor = Actor(robot, True, (16,), "relu", mirror_symmetry=True)
+    learner = dataclasses.replace(_LEARNER, capacity=2000)
     env = TaskVectorEnv(2, robot, "mujoco", "anchor", frame_skip=5, task="capture-drift")
     collector = Collector(env, 0.0, 1, np.random.default_rng(0))
     collector.start(seed=0)
     collector._observation, _ = env.reset(
         seed=0, options={"targets": np.array([[0.01, 0.004, 2.5], [0.3, 0.02, 2.4]])}
     )
-    memory, crossed = Memory(robot, learner, None, env.task), 0
+    replay, crossed = MixedReplay(robot, env.task, learner), 0
     for _ in range(100):
         for episode in collector.step(actor):
             crossed += np.ptp(np.sign(episode.observations[:, TARGET][:, :2]), axis=0).any()
-            memory.add(episode, np.random.default_rng(0))
+            replay.add(episode, np.random.default_rng(0))
     env.close()
     assert crossed
-    rows = memory.replays["replay"]
+    rows = replay.buffers["replay"]
     stored = {name: torch.from_numpy(values[: rows.size]) for name, values in rows.rows.items()}
     taken = stored["successor"] >= 0
     with torch.no_grad():
@@ -125,7 +124,7 @@ def test_what_is_collected_is_what_the_actor_does_in_the_folded_frame() -> None:
 
 
 @pytest.mark.parametrize("averaged", [True, False])
-def test_a_trained_policy_folds_and_so_does_its_clone(tmp_path: Path, averaged: bool) -> None:
+def test_a_trained_policy_and_its_clone_are_symmetric(tmp_path: Path, averaged: bool) -> None:
     learner = dataclasses.replace(
         learner_for("batd3", "tuned"),
         symmetry=True,
@@ -161,7 +160,7 @@ def test_a_trained_policy_folds_and_so_does_its_clone(tmp_path: Path, averaged: 
         np.testing.assert_allclose(other, image.command(one), atol=1e-5)
 
 
-def test_it_is_refused_for_a_robot_without_an_image(tmp_path: Path) -> None:
+def test_a_robot_without_mirror_image_is_refused(tmp_path: Path) -> None:
     text = load_robot("planar-single").to_toml().replace("90.0", "80.0")
     path = tmp_path / "odd.toml"
     path.write_text(text)
@@ -171,13 +170,13 @@ def test_it_is_refused_for_a_robot_without_an_image(tmp_path: Path) -> None:
     assert not (tmp_path / "run").exists()
 
 
-def test_targets_are_folded_to_where_the_workspace_is() -> None:
+def test_targets_are_mirrored_to_the_workspaces_side() -> None:
     data = load_robot("paper").model_dump()
     data["workspace"]["center"] = (-0.2, 0.1, 2.45)
     observations = torch.from_numpy(_observations(load_robot("paper")))
-    folded = Folding(Robot.model_validate(data))(observations).observation[:, TARGET]
-    assert (folded[:, 0] <= 0).all()
-    assert (folded[:, 1] >= 0).all()
+    targets = MirrorSymmetry(Robot.model_validate(data))(observations).observation[:, TARGET]
+    assert (targets[:, 0] <= 0).all()
+    assert (targets[:, 1] >= 0).all()
 
 
 def test_a_clone_learns_the_same_from_every_image(robot: Robot) -> None:
@@ -196,7 +195,7 @@ def test_a_clone_learns_the_same_from_every_image(robot: Robot) -> None:
         torch.testing.assert_close(other, done[0], rtol=1e-4, atol=1e-5)
 
 
-def test_a_policy_keeps_that_it_folds(robot: Robot, tmp_path: Path) -> None:
+def test_a_saved_policy_keeps_its_symmetry(robot: Robot, tmp_path: Path) -> None:
     observation = torch.from_numpy(_observations(robot)).float()
     for symmetry in (True, False):
         torch.manual_seed(0)
@@ -222,11 +221,10 @@ def test_images_of_a_target_are_reached_along_images_of_one_path(engine: str, na
     env.close()
     lengths = [len(episode.actions) for episode in outcome.successes()]
     assert lengths == [lengths[0]] * 4
-    tips = [episode.observations for episode in outcome.successes()]
-    for image, seen in zip(known, tips, strict=True):
-        np.testing.assert_allclose(
-            seen, image.observation(tips[0]), atol=1e-3
-        )  # single precision, fed back
+    observed = [episode.observations for episode in outcome.successes()]
+    for image, seen in zip(known, observed, strict=True):
+        # The error of single precision grows through feedback.
+        np.testing.assert_allclose(seen, image.observation(observed[0]), atol=1e-3)
 
 
 def test_off_by_default() -> None:

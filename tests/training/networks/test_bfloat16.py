@@ -1,4 +1,4 @@
-"""Products in bfloat16: what is rounded, how often, and that nothing else is."""
+"""Products in bfloat16: each factor is rounded once, and nothing else is."""
 
 from __future__ import annotations
 
@@ -6,11 +6,11 @@ import os
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import pytest
 import torch
 from torch import Tensor
+from torch.autograd.function import BackwardCFunction
 from torch.nn import functional
 
 from cdcsr.errors import CdcsrError
@@ -19,13 +19,13 @@ from training.algorithms.clasp import CLASP
 from training.algorithms.td3 import TD3
 from training.config.run_config import Train, learner_for
 from training.experience.replay import Batch
-from training.networks.bfloat16 import bfloat16_products, products
+from training.networks.bfloat16 import has_fast_bfloat16, matrix_products
 from training.networks.compiled_ensemble import Ensemble
 from training.run import trainer
 
 Make = Callable[..., TD3]
 needs_bfloat16 = pytest.mark.skipif(
-    not bfloat16_products(), reason="this processor has no use for bfloat16"
+    not has_fast_bfloat16(), reason="this processor multiplies no faster in bfloat16"
 )
 
 
@@ -33,27 +33,25 @@ needs_bfloat16 = pytest.mark.skipif(
 def test_factors_are_rounded_once_and_sums_are_not() -> None:
     generator = torch.Generator().manual_seed(0)
     a, b = (torch.randn(256, 256, generator=generator) for _ in range(2))
-    with products(bfloat16=True):
+    with matrix_products(bfloat16=True):
         found = torch.mm(a, b)
     expected = a.bfloat16().double() @ b.bfloat16().double()
     assert (found - expected).abs().max() < 1e-4  # rounded sums, of about 16, would be off by .06
     assert (torch.mm(a, b) - expected).abs().max() > 1e-2
 
 
-@pytest.mark.skipif(
-    "ONEDNN_MAX_CPU_ISA" in os.environ, reason="what the processor has may be forbidden"
-)
-def test_every_processor_with_amx_is_known_to_have_it() -> None:
+@pytest.mark.skipif("ONEDNN_MAX_CPU_ISA" in os.environ, reason="the instruction set is limited")
+def test_processors_with_amx_are_found() -> None:
     flags = Path("/proc/cpuinfo")
     if not flags.is_file() or "amx_bf16" not in flags.read_text():
         pytest.skip("this processor has no AMX")
-    assert bfloat16_products()
+    assert has_fast_bfloat16()
 
 
 @pytest.mark.parametrize("bfloat16", [True, False])
 def test_precision_is_what_it_was_after_an_update_that_fails(bfloat16: bool) -> None:
     def fail() -> None:
-        with products(bfloat16=bfloat16):
+        with matrix_products(bfloat16=bfloat16):
             raise RuntimeError
 
     before = torch.get_float32_matmul_precision()
@@ -71,17 +69,20 @@ def _round(x: Tensor) -> Tensor:
 
 
 class _Product(torch.autograd.Function):
-    """x w with all three products' factors rounded by hand."""
+    """Compute x w; the factors of all three products are rounded by hand."""
 
     @staticmethod
-    def forward(ctx: Any, x: Tensor, w: Tensor) -> Tensor:
+    def forward(ctx: BackwardCFunction, x: Tensor, w: Tensor) -> Tensor:
         ctx.save_for_backward(x, w)
         return _round(x) @ _round(w)
 
     @staticmethod
-    def backward(ctx: Any, *grad_outputs: Tensor) -> tuple[Tensor, Tensor]:
-        x, w = ctx.saved_tensors
-        return _round(grad_outputs[0]) @ _round(w).T, _round(x).T @ _round(grad_outputs[0])
+    def backward(  # type: ignore[override]
+        ctx: BackwardCFunction, *grad_outputs: Tensor
+    ) -> tuple[Tensor, Tensor]:
+        x, w = (_round(tensor) for tensor in ctx.saved_tensors)
+        delta = _round(grad_outputs[0])
+        return delta @ w.T, x.T @ delta
 
 
 @needs_bfloat16
@@ -90,7 +91,7 @@ def test_critics_learn_from_rounded_factors_and_all_else_in_float32() -> None:
     torch.manual_seed(0)
     ensemble = Ensemble(40, (64, 64), 2, layer_norm=True)
     inputs, target = torch.randn(64, 40, generator=generator), torch.rand(64, generator=generator)
-    with products(bfloat16=True):
+    with matrix_products(bfloat16=True):
         ensemble.regress(inputs, target)
     assert ensemble.rows.grad is not None
     found = ensemble.rows.grad.clone()
@@ -100,9 +101,8 @@ def test_critics_learn_from_rounded_factors_and_all_else_in_float32() -> None:
         for layer in layers[:-1]:
             x = _Product.apply(x, layer.product) + layer.weight[-1]
             x = functional.relu(functional.layer_norm(x, x.shape[-1:], layer.gain, layer.shift))
-        value = (x @ layers[-1].product + layers[-1].weight[-1])[
-            :, 0
-        ]  # of so few numbers, never rounded
+        # The output layer is a kernel's work and never rounded.
+        value = (x @ layers[-1].product + layers[-1].weight[-1])[:, 0]
         ((value - target) ** 2).mean().backward()
     assert rows.grad is not None
     assert (found - rows.grad).norm() / rows.grad.norm() < 1e-3
@@ -135,7 +135,7 @@ def test_the_switch_is_for_updates_and_for_them_only(
 def test_where_it_is_no_faster_the_switch_is_refused(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(trainer, "bfloat16_products", lambda: False)
+    monkeypatch.setattr(trainer, "has_fast_bfloat16", lambda: False)
     config = Train(tmp_path / "run", learner=replace(learner_for("batd3", "tuned"), bfloat16=True))
     with pytest.raises(
         CdcsrError, match="bfloat16 must be off: this processor multiplies no faster in it"

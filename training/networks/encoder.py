@@ -1,0 +1,46 @@
+"""The fixed scaling of an observation before it enters a network."""
+
+from __future__ import annotations
+
+import torch
+from torch import Tensor, nn
+
+from cdcsr.robot.description import Robot
+from cdcsr.tasks.observation import (
+    TARGET,
+    TIP_POSITION,
+    input_offset,
+    input_scale,
+    observation_size,
+)
+
+_ERROR_SCALE = 0.1
+"""Scale of the vector from tip to target, in [m]."""
+
+
+class Encoder(nn.Module):
+    """Shift and scale each number of eq. (1) as :data:`cdcsr.tasks.observation.PARTS` says.
+
+    Args:
+        robot: positions are centred on its workspace.
+        with_error: append the scaled vector from tip to target. It is a linear function of the
+            rest, but a network learns it slowly.
+    """
+
+    offset: Tensor
+    scale: Tensor
+
+    def __init__(self, robot: Robot, with_error: bool) -> None:
+        super().__init__()
+        self.register_buffer("offset", torch.tensor(input_offset(robot), dtype=torch.float32))
+        self.register_buffer("scale", torch.tensor(input_scale(robot), dtype=torch.float32))
+        self.with_error = with_error
+        self.size = observation_size(robot) + 3 * with_error
+
+    def forward(self, observation: Tensor) -> Tensor:
+        """Encode observations: (..., 23 + C) -> (..., size)."""
+        encoded = (observation - self.offset) / self.scale
+        if not self.with_error:
+            return encoded
+        error = (observation[..., TARGET] - observation[..., TIP_POSITION]) / _ERROR_SCALE
+        return torch.cat([encoded, error], dim=-1)
