@@ -1,4 +1,9 @@
-"""Outputs complete or absent: written under a temporary name beside their place, then renamed. And JSON, read."""
+"""The one way to write a file and to claim a folder, and the reading of JSON.
+
+Files and new folders are complete or absent: they are written under a temporary name beside their
+place and then renamed. A process that is killed leaves at most a hidden file, which is in nobody's
+way.
+"""
 
 from __future__ import annotations
 
@@ -6,19 +11,24 @@ import json
 import os
 import shutil
 import uuid
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 from cdcsr.errors import CdcsrError
+from cdcsr.locks import lock
+
+_MARKER = ".cdcsr"
+"""This file names the kind of a folder that :func:`new_folder` made."""
 
 
 def write_bytes(path: Path, data: bytes) -> None:
-    """Write a file, replacing one of that name; missing folders on the way are made.
+    """Write a file, replacing one of that name; make missing folders on the way.
 
     Raises:
-        CdcsrError: the place cannot be written to.
+        CdcsrError: the file cannot be written.
     """
     temporary = _beside(path)
     try:
@@ -37,35 +47,36 @@ def write_text(path: Path, text: str) -> None:
     write_bytes(path, text.encode())
 
 
-def write_json(path: Path, data: Any) -> None:
-    """Write a JSON file, as :func:`write_bytes` does; NumPy arrays and scalars become lists and numbers.
+def write_json(path: Path, data: object) -> None:
+    """Write a JSON file, as :func:`write_bytes` does; NumPy arrays become lists, and their scalars
+    numbers.
 
     Raises:
-        ValueError: a number is NaN or infinite, which JSON cannot say.
+        ValueError: a number is NaN or infinite, which JSON cannot express.
     """
     write_text(path, json.dumps(data, indent=2, allow_nan=False, default=_plain) + "\n")
 
 
 def read_json(path: Path) -> dict[str, Any]:
-    """The object in a JSON file.
+    """Return the object in a JSON file.
 
     Raises:
-        CdcsrError: there is none.
+        CdcsrError: the file cannot be read, or holds no JSON object.
     """
     try:
         data = json.loads(path.read_text("utf-8"))
     except (OSError, ValueError) as error:
         raise CdcsrError(f"{path} cannot be read ({error}).") from None
     if not isinstance(data, dict):
-        raise CdcsrError(f"{path} should hold a JSON object.")
+        raise CdcsrError(f"{path} cannot be read (it should hold a JSON object).")
     return data
 
 
 def refuse_unwritable(path: Path) -> None:
-    """Say before the work is done what would keep its outcome from being written to a file; nothing is made.
+    """Check before long work whether a file can be written at its end; nothing is made.
 
     Raises:
-        CdcsrError: the place is a folder's, or lies under a file, or in a folder that may not be written to.
+        CdcsrError: the path is a folder, lies under a file, or in a folder that is read-only.
     """
     if path.is_dir():
         raise CdcsrError(f"{path} is a folder; give the name of a file.")
@@ -77,30 +88,22 @@ def refuse_unwritable(path: Path) -> None:
 
 
 @contextmanager
-def new_folder(path: Path, force: bool) -> Iterator[Path]:
-    """Build a folder as a whole: fill the one this yields, and it takes its place when the block ends.
+def new_folder(path: Path, kind: str, force: bool) -> Iterator[Path]:
+    """Build a whole folder: fill the one that is yielded, and it is put in place at the block's end.
 
-    If the block fails, nothing is left of it, and a folder that was to be replaced is still there.
+    If the block fails, nothing of it is left, and the folder that it was to replace is still there.
 
     Args:
         path: the folder's place; missing folders on the way are made.
-        force: replace a folder that is there already.
+        kind: what the folder holds, a noun; a hidden file in it keeps the noun.
+        force: replace a folder that is there already, if it is empty or of the same kind.
 
     Raises:
-        CdcsrError: the place is taken, cannot be replaced, or cannot be written to.
+        CdcsrError: the place is taken, cannot be replaced, or cannot be written.
     """
     place = path.resolve()
     if place.exists():
-        if not place.is_dir():
-            raise CdcsrError(f"{path} is a file; give the name of a folder.")
-        if not force:
-            raise CdcsrError(
-                f"{path} already exists; give another folder, or --force to replace it."
-            )
-        if Path.cwd().is_relative_to(place):
-            raise CdcsrError(
-                f"{path} holds the current folder and is not replaced; give another folder."
-            )
+        _refuse_replacing(path, kind, force)
     temporary = _beside(place)
     try:
         temporary.mkdir(parents=True)
@@ -108,7 +111,8 @@ def new_folder(path: Path, force: bool) -> Iterator[Path]:
         raise _cannot_write(path, error) from None
     try:
         yield temporary
-        _take_place(temporary, place)
+        (temporary / _MARKER).write_text(kind + "\n", "utf-8")
+        _put_in_place(temporary, place)
     except BaseException as error:
         shutil.rmtree(temporary, ignore_errors=True)
         if isinstance(error, OSError):
@@ -116,8 +120,125 @@ def new_folder(path: Path, force: bool) -> Iterator[Path]:
         raise
 
 
-def _take_place(folder: Path, place: Path) -> None:
-    """Rename `folder` to `place`; the one that was there goes only once the new one stands."""
+@dataclass(frozen=True)
+class WorkingFolder:
+    """A kind of folder for work that can be stopped and resumed, such as training.
+
+    A record in the folder, a JSON object, says which work it holds. While a process works there it
+    holds the lock `.lock`. Hidden files are ignored: a process that was killed may have left them.
+    """
+
+    kind: str
+    """What the folder is, with an article, for messages: "a training run"."""
+    record: str
+    """The name of the record."""
+    fields: frozenset[str] = frozenset()
+    """Keys that every record of this kind has."""
+    results: tuple[str, ...] = ()
+    """Patterns of the files that are deleted, in this order, when the work begins anew."""
+
+    @contextmanager
+    def claim(
+        self,
+        folder: Path,
+        identity: Mapping[str, object] | None = None,
+        defaults: Mapping[str, object] | None = None,
+        force: bool = False,
+    ) -> Iterator[None]:
+        """Make the folder, or check that it holds this work, and keep other processes out.
+
+        Args:
+            folder: where the work is done.
+            identity: plain data that must be the same for the work to be resumed; it becomes the
+                record. None resumes any work of this kind and leaves the record alone.
+            defaults: values of those options that an older record may lack.
+            force: begin anew where the folder holds other work of this kind.
+
+        Raises:
+            CdcsrError: the folder holds something else, or cannot be made.
+            Busy: another process works there.
+        """
+        self.check(folder, identity, defaults, force)
+        try:
+            folder.mkdir(parents=True, exist_ok=True)
+        except OSError as error:
+            raise _cannot_write(folder, error) from None
+        with lock(folder / ".lock"):
+            # Again, as the process that held the lock may have changed what is there.
+            self.check(folder, identity, defaults, force)
+            if force:
+                self._delete_results(folder)
+            record = folder / self.record
+            if identity is not None:
+                write_json(record, identity)
+            elif not record.exists():
+                write_json(record, {})
+            yield
+
+    def check(
+        self,
+        folder: Path,
+        identity: Mapping[str, object] | None,
+        defaults: Mapping[str, object] | None = None,
+        force: bool = False,
+    ) -> None:
+        """Check that a folder is new or empty, or holds this work; arguments as for :meth:`claim`.
+
+        Raises:
+            CdcsrError: it holds something else; the message names the options that differ.
+        """
+        record = folder / self.record
+        if not record.is_file():
+            if folder.exists() and not (folder.is_dir() and _looks_empty(folder)):
+                raise CdcsrError(f"{folder} exists and is not {self.kind}; give another folder.")
+            return
+        found = read_json(record)
+        if not self.fields <= found.keys():
+            raise CdcsrError(f"{folder} exists and is not {self.kind}; give another folder.")
+        if force or identity is None:
+            return
+        ours, theirs = _flat(identity), {**_flat(defaults or {}), **_flat(found)}
+        names = sorted(name for name in {*ours, *theirs} if ours.get(name) != theirs.get(name))
+        if names:
+            raise CdcsrError(
+                f"{folder} holds {self.kind} with other options ({', '.join(names)}); give the "
+                "same ones to resume it, another folder, or --force to begin anew."
+            )
+
+    def _delete_results(self, folder: Path) -> None:
+        for path in [path for pattern in self.results for path in folder.glob(pattern)]:
+            try:
+                path.unlink(missing_ok=True)
+            except OSError as error:
+                raise CdcsrError(f"Cannot delete {path}: {error.strerror}.") from None
+
+
+def _refuse_replacing(path: Path, kind: str, force: bool) -> None:
+    """Check that what is at `path` may be replaced by a folder of that kind."""
+    if not path.is_dir():
+        raise CdcsrError(f"{path} is a file; give the name of a folder.")
+    if not force:
+        raise CdcsrError(f"{path} already exists; give another folder, or --force to replace it.")
+    if Path.cwd().is_relative_to(path.resolve()):
+        raise CdcsrError(
+            f"{path} holds the current folder and is not replaced; give another folder."
+        )
+    marker = path / _MARKER
+    found = marker.read_text("utf-8", errors="replace").strip() if marker.is_file() else ""
+    if found != kind and any(path.iterdir()):
+        raise CdcsrError(
+            f"{path} holds {found or 'files that this command did not make'}, not {kind}, and is "
+            "not replaced; delete it yourself or give another folder."
+        )
+
+
+def _looks_empty(folder: Path) -> bool:
+    """Return whether a folder holds nothing but hidden files."""
+    return all(entry.name.startswith(".") for entry in folder.iterdir())
+
+
+def _put_in_place(folder: Path, place: Path) -> None:
+    """Rename `folder` to `place`; delete the one that was there once the new one stands."""
     if not place.exists():
         folder.rename(place)
         return
@@ -131,7 +252,17 @@ def _take_place(folder: Path, place: Path) -> None:
     shutil.rmtree(old)
 
 
+def _flat(data: Mapping[str, object], prefix: str = "") -> dict[str, object]:
+    """Return nested mappings as one, its keys joined by dots."""
+    flat: dict[str, object] = {}
+    for key, value in data.items():
+        name = prefix + key
+        flat |= _flat(value, f"{name}.") if isinstance(value, Mapping) else {name: value}
+    return flat
+
+
 def _beside(path: Path) -> Path:
+    """Return a new hidden name beside `path`."""
     return path.with_name(f".{path.name}.{uuid.uuid4().hex[:8]}")
 
 

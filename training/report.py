@@ -50,7 +50,6 @@ def report(
             f"{results} holds no finished run; make some with `python -m training.experiments`."
         )
     check_axes(runs)
-    _refuse_other_folder(out)
     wanted = _expected(runs)
     rows = near_and_far(runs)
     paper, tables = (
@@ -63,7 +62,7 @@ def report(
             beside_demonstrator(runs),
         ],
     )
-    with new_folder(out, force=True) as folder:
+    with new_folder(out, "a report", force=True) as folder:
         figures = [*curve_figures(runs, folder), *variant_figures(runs, folder)]
         figures += [
             *follow_figures(runs, folder),
@@ -94,22 +93,6 @@ def _expected(runs: Sequence[Run]) -> Expected | None:
 
     (budget, _), *_ = Counter(one.budget for one in runs).most_common()
     return expected(BUDGETS[budget]) if budget in BUDGETS else None
-
-
-def _refuse_other_folder(out: Path) -> None:
-    """Only a report is replaced.
-
-    Raises:
-        CdcsrError: the folder holds something else.
-    """
-    from training.study.report.page import TITLE
-
-    if out.is_dir() and any(out.iterdir()):
-        place = out / PAGE
-        if not place.is_file() or not place.read_text("utf-8", errors="replace").startswith(TITLE):
-            raise CdcsrError(
-                f"{out} holds something that is no report; give another folder with --out."
-            )
 
 
 def main() -> int:

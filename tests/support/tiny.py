@@ -7,10 +7,10 @@ from pathlib import Path
 
 import numpy as np
 
+from cdcsr import locks
 from cdcsr.robot.description import Robot
 from training.networks.actor import Actor
 from training.policy import Policy
-from training.run import locks
 from training.study.declare.grid import Budget
 from training.study.declare.run_spec import RunSpec
 from training.study.execute.jobs import Job

@@ -28,10 +28,11 @@ def build_model(
 
     description = load_robot(robot)
     backends = check_backend(backend)
-    with new_folder(out, force) as folder:
+    with new_folder(out, "models of a robot", force) as folder:
         write_model(description, folder, backends)
         summary = summarize(description, backends)
+        names = sorted(path.name for path in folder.iterdir())
     print(show(summary))
-    print(f"written to {out}: {', '.join(sorted(path.name for path in out.iterdir()))}")
+    print(f"written to {out}: {', '.join(names)}")
     if json is not None:
         write_json(json, summary)

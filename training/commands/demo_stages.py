@@ -13,8 +13,7 @@ from typing import Any
 import numpy as np
 import torch
 
-from cdcsr.errors import CdcsrError
-from cdcsr.files import write_json, write_text
+from cdcsr.files import WorkingFolder, read_json, write_json, write_text
 from cdcsr.robot.description import Robot, load_robot
 from cdcsr.simulation.engines import backend_names, engine_title
 from controllers.controller import Controller
@@ -36,6 +35,7 @@ ROBOT, SPACE = "paper", "spatter"
 TRAINED_IN = "mujoco"
 
 RECORD = "demo.json"
+DEMO_FOLDER = WorkingFolder("the folder of a demo", RECORD)
 MODEL, DEMONSTRATIONS, RUN = "model", "demonstrations", "runs/batd3"
 TABLE, CELLS = "transfer.md", "transfer.json"
 CURVE, TARGETS = "learning_curve.png", "targets.png"
@@ -70,25 +70,12 @@ class Stages:
     """Does each stage once: one that is recorded as done with the same inputs, and whose files are there, is skipped.
 
     Args:
-        folder: made if missing; it must be empty or hold the record of an earlier demo.
-
-    Raises:
-        CdcsrError: the folder holds something else, or cannot be made.
+        folder: claimed as :data:`DEMO_FOLDER`; its record holds the inputs of each finished stage.
     """
 
     def __init__(self, folder: Path) -> None:
         self.folder, self._record = folder, folder / RECORD
-        self._done: dict[str, Any] = {}
-        if self._record.is_file():
-            try:
-                self._done = dict(json.loads(self._record.read_text("utf-8")))
-            except (OSError, ValueError, TypeError) as error:
-                raise CdcsrError(
-                    f"{self._record} cannot be read ({error}); delete it or give another folder."
-                ) from None
-        elif folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
-            raise CdcsrError(f"{folder} exists and is not the folder of a demo; give another one.")
-        write_json(self._record, self._done)
+        self._done = read_json(self._record)
 
     def run(
         self, name: str, inputs: dict[str, Any], files: Sequence[str], work: Callable[[], None]
@@ -129,7 +116,12 @@ def run_demo(out: Path, amounts: Amounts = Amounts()) -> dict[str, Any]:
         CdcsrError: the folder holds something else, or a demo with other options.
     """
     torch.set_num_threads(1)
-    stages, robot = Stages(out), load_robot(ROBOT)
+    with DEMO_FOLDER.claim(out):
+        return _run(Stages(out), amounts)
+
+
+def _run(stages: Stages, amounts: Amounts) -> dict[str, Any]:
+    out, robot = stages.folder, load_robot(ROBOT)
     of_robot = {"robot": robot.fingerprint}
     stages.run(
         "models of the robot",

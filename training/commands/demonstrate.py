@@ -40,7 +40,7 @@ def demonstrate(
 
     if episodes < 1:
         raise CdcsrError(f"episodes must be at least 1, not {episodes}.")
-    with new_folder(out, force) as folder:
+    with new_folder(out, "demonstrations", force) as folder:
         env = TaskVectorEnv(
             episodes,
             robot,

@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+from contextlib import closing
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
+
+from cdcsr.files import WorkingFolder
 
 if TYPE_CHECKING:
     import numpy as np
@@ -13,6 +16,9 @@ if TYPE_CHECKING:
 
 _COPIES = 48
 """Plans tried side by side."""
+SEARCH_FOLDER = WorkingFolder(
+    "a search", "search.json", frozenset({"controller", "rounds"}), results=("targets.csv",)
+)
 
 
 class _Row(NamedTuple):
@@ -129,9 +135,9 @@ def search(
         identity["told"] = (
             "by tries drawn anew"  # once it was by those that chose, so such a search cannot go on
         )
-    rows = _claim(out, identity, targets.round(4), force)
-    env = TaskVectorEnv(_COPIES, disturbances=disturbances, **common)
-    try:
+    environment = TaskVectorEnv(_COPIES, disturbances=disturbances, **common)
+    with closing(environment) as env, SEARCH_FOLDER.claim(out, identity, force=force):
+        rows = _read_rows(out / "targets.csv", targets.round(4))
         for episode in range(len(rows), episodes):
             alone, best = improve(
                 controller,
@@ -151,8 +157,6 @@ def search(
                 "".join(",".join(map(str, row)) + "\n" for row in [_Row._fields, *rows]),
             )
             print(f"{episode + 1} of {episodes}: {_told(alone)}; best {_told(best)}", flush=True)
-    finally:
-        env.close()
     summary = identity | _summary(rows, env.max_actions)
     print(
         f"\n{summary['controller']} in {space}, {episodes} targets: reaches {summary['reached']:.3f} in "
@@ -183,66 +187,38 @@ def _summary(rows: list[_Row], most: int) -> dict[str, Any]:
     }
 
 
-def _claim(
-    out: Path, identity: dict[str, Any], targets: NDArray[np.float64], force: bool
-) -> list[_Row]:
-    """Take the folder for this search, and return what it has found already.
+def _read_rows(table: Path, targets: NDArray[np.float64]) -> list[_Row]:
+    """Return the rows that a search has found already, none if there is no table.
+
+    Args:
+        table: `targets.csv`.
+        targets: those of this search, shape (episodes, 3), rounded as in the table.
 
     Raises:
-        CdcsrError: the folder holds something else.
+        CdcsrError: the table is damaged, or has other targets.
     """
     import csv
-    import json
 
     from cdcsr.errors import CdcsrError
-    from cdcsr.files import write_json
 
-    path, table = out / "search.json", out / "targets.csv"
-    if out.exists() and (
-        not out.is_dir() or any(not entry.name.startswith(".") for entry in out.iterdir())
-    ):
-        try:
-            found = json.loads(path.read_text("utf-8"))
-        except (OSError, ValueError):
-            found = None
-        if not isinstance(found, dict) or not found.keys() >= {"controller", "rounds"}:
-            raise CdcsrError(f"{out} exists and is not a search; give another folder.")
-        if force:
-            try:
-                table.unlink(missing_ok=True)
-            except OSError as error:
-                raise CdcsrError(f"Cannot delete {table}: {error.strerror}.") from None
-            found = identity
-        if found != identity:
-            differing = sorted(
-                name
-                for name in found.keys() | identity.keys()
-                if found.get(name) != identity.get(name)
-            )
+    if not table.is_file():
+        return []
+    try:
+        with table.open(newline="", encoding="utf-8") as file:
+            lines = [[*map(float, line.values())] for line in csv.DictReader(file)]
+        rows = [_Row(int(line[0]), *line[1:]) for line in lines]
+    except (OSError, ValueError, TypeError) as error:
+        raise CdcsrError(
+            f"{table} is damaged ({error}); delete it to have it made again."
+        ) from None
+    for episode, row in enumerate(rows):
+        here = (row.x, row.y, row.z)
+        if episode == len(targets) or (row.episode, *here) != (
+            episode,
+            *targets[episode].tolist(),
+        ):
             raise CdcsrError(
-                f"{out} holds another search ({', '.join(differing)}); give another folder, or --force to start anew."
+                f"{table} is of other targets: line {episode + 2} is of target {row.episode} at "
+                f"{here}; give another folder, or --force to begin anew."
             )
-        if not table.is_file():
-            write_json(path, identity)
-            return []
-        try:
-            with table.open(newline="", encoding="utf-8") as file:
-                lines = [[*map(float, line.values())] for line in csv.DictReader(file)]
-            rows = [_Row(int(line[0]), *line[1:]) for line in lines]
-        except (OSError, ValueError, TypeError) as error:
-            raise CdcsrError(
-                f"{table} is damaged ({error}); delete it to have it made again."
-            ) from None
-        for episode, row in enumerate(rows):
-            here = (row.x, row.y, row.z)
-            if episode == len(targets) or (row.episode, *here) != (
-                episode,
-                *targets[episode].tolist(),
-            ):
-                raise CdcsrError(
-                    f"{table} is of other targets: line {episode + 2} is of target {row.episode} at {here}; give "
-                    "another folder, or --force to start anew."
-                )
-        return rows
-    write_json(path, identity)
-    return []
+    return rows

@@ -41,7 +41,7 @@ from training.policy import Policy, load_policy
 from training.run.checkpoint import load_state, save_state
 from training.run.heeded import refuse_unheeded
 from training.run.metrics import Meter, Metrics
-from training.run.run_folder import claim_folder
+from training.run.run_folder import RUN_FOLDER, older_defaults
 
 Array = NDArray[np.float64]
 _STATE = "state.safetensors"
@@ -61,7 +61,7 @@ def train(config: Train) -> Policy:
         1
     )  # small matrices on several threads are slower; run seeds side by side instead
     run = Run(config)
-    with claim_folder(run.folder, run.identity, config.force):
+    with RUN_FOLDER.claim(run.folder, run.identity, older_defaults(), config.force):
         return run.carry_out()
 
 

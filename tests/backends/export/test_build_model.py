@@ -79,7 +79,7 @@ def test_it_writes_the_promised_files(built: tuple[str, Path]) -> None:
         f"{name}.urdf",
         f"{name}.xml",
     }
-    assert {path.name for path in out.iterdir()} == expected
+    assert {path.name for path in out.iterdir()} == {*expected, ".cdcsr"}
     assert load_robot(out / f"{name}.toml") == load_robot(name)
     assert (out / f"{name}.glb").read_bytes()[:4] == b"glTF"
 
@@ -141,7 +141,7 @@ def test_the_engines_agree_on_the_mass_matrix(built: tuple[str, Path]) -> None:
 
 def test_one_backend_alone(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     build_model("planar-single", out=tmp_path / "out", backend="mujoco")
-    names = {path.name for path in (tmp_path / "out").iterdir()}
+    names = {path.name for path in (tmp_path / "out").iterdir()} - {".cdcsr"}
     assert names == {"meshes", "planar-single.glb", "planar-single.toml", "planar-single.xml"}
     shown = capsys.readouterr().out
     assert "degrees of freedom  22" in shown  # 6 of the base, 4 sliders, 12 hinges

@@ -14,7 +14,7 @@ import pytest
 from cdcsr.cli import main
 from cdcsr.errors import CdcsrError
 from training.commands import demo_stages as demo
-from training.commands.demo_stages import Amounts, Stages, run_demo
+from training.commands.demo_stages import DEMO_FOLDER, Amounts, Stages, run_demo
 from training.config.run_config import PRESETS, Train
 from training.plots import video
 
@@ -126,7 +126,8 @@ def test_a_stage_is_done_once_for_the_same_inputs(tmp_path: Path) -> None:
         calls.append(1)
         (tmp_path / "demo" / "a.txt").touch()
 
-    Stages(tmp_path / "demo").run("a", {"x": 1}, FILES, work)
+    with DEMO_FOLDER.claim(tmp_path / "demo"):
+        Stages(tmp_path / "demo").run("a", {"x": 1}, FILES, work)
     Stages(tmp_path / "demo").run("a", {"x": 1}, FILES, work)
     assert len(calls) == 1
     Stages(tmp_path / "demo").run("a", {"x": 2}, FILES, work)
@@ -139,17 +140,17 @@ def test_a_stage_is_done_once_for_the_same_inputs(tmp_path: Path) -> None:
 def test_a_folder_of_something_else_is_refused(tmp_path: Path) -> None:
     (tmp_path / "thesis.tex").touch()
     with pytest.raises(CdcsrError, match="not the folder of a demo"):
-        Stages(tmp_path)
+        run_demo(tmp_path)
     assert [path.name for path in tmp_path.iterdir()] == ["thesis.tex"]
     with pytest.raises(CdcsrError, match="not the folder of a demo"):
-        Stages(tmp_path / "thesis.tex")
+        run_demo(tmp_path / "thesis.tex")
 
 
 @pytest.mark.parametrize("text", ["{", "[1]", "\xff"])
 def test_a_damaged_record_is_reported(tmp_path: Path, text: str) -> None:
     (tmp_path / "demo.json").write_text(text, encoding="latin-1")
     with pytest.raises(CdcsrError, match=r"demo\.json cannot be read"):
-        Stages(tmp_path)
+        run_demo(tmp_path)
 
 
 @pytest.mark.parametrize("minutes", ["0", "-1", "nan"])

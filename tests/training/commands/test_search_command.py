@@ -48,9 +48,9 @@ def test_the_command_goes_on_and_refuses_another_search(
 
     capsys.readouterr()
     assert search(whole, 2, "--missed") == 2
-    assert "holds another search (missed)" in capsys.readouterr().err
+    assert "holds a search with other options (missed)" in capsys.readouterr().err
     assert search(whole, 1) == 2
-    assert "holds another search (episodes)" in capsys.readouterr().err
+    assert "holds a search with other options (episodes)" in capsys.readouterr().err
     (whole / "targets.csv").write_text(lines[0] + lines[2])
     assert search(whole, 2) == 2
     assert "is of other targets: line 2 is of target 1 at (" in capsys.readouterr().err
@@ -62,7 +62,7 @@ def test_the_command_goes_on_and_refuses_another_search(
     for force in ((), ("--force",)):
         assert search(tmp_path / "other", 2, *force) == 2
     assert (tmp_path / "other" / "targets.csv").read_text() == "precious"
-    assert "is not a search" in capsys.readouterr().err
+    assert "exists and is not a search" in capsys.readouterr().err
     assert search(whole / "search.json" / "below", 2) == 2
     assert "Cannot write" in capsys.readouterr().err
     assert search(tmp_path / "none", 0) == 2

@@ -18,8 +18,8 @@ from typing import Any, get_args
 from cdcsr.cli import run
 from cdcsr.errors import CdcsrError, unknown_choice
 from cdcsr.files import write_bytes, write_json
+from cdcsr.locks import lock
 from training.config.run_config import AlgorithmName, Learner
-from training.run.locks import lock
 from training.study.declare.grid import Budget
 from training.study.declare.run_spec import RunSpec
 
@@ -218,14 +218,13 @@ def _train(job: Job, out: Path) -> Any:
 
     from cdcsr.robot.description import load_robot
     from training.policy import load_policy
-    from training.run.run_folder import CONFIG, refuse_other_run
+    from training.run.run_folder import RUN_FOLDER, older_defaults
     from training.run.trainer import train
 
     config, budget = job.spec.train(out), job.budget
     if (out / SUMMARY).is_file():
-        refuse_other_run(
-            out / CONFIG, {**config.identity(), "fingerprint": load_robot(ROBOT).fingerprint}
-        )
+        identity = {**config.identity(), "fingerprint": load_robot(ROBOT).fingerprint}
+        RUN_FOLDER.check(out, identity, older_defaults())
         return load_policy(out)
     # At most 40 points on a learning curve, and as many checkpoints.
     every = max(budget.evaluate_every, job.spec.updates // 40)

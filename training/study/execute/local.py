@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import IO
 
 from cdcsr.errors import CdcsrError
-from training.run.locks import Busy
+from cdcsr.locks import Busy
 from training.study.execute.jobs import Job, environment
 
 POLL = 0.2

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from cdcsr.errors import CdcsrError
-from training.run.locks import STALE_AFTER, Busy
+from cdcsr.locks import STALE_AFTER, Busy
 from training.study.execute.jobs import Job, environment
 from training.study.execute.local import Outcome, Progress, duration, failure, log_path
 

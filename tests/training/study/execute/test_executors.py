@@ -9,8 +9,8 @@ from typing import Any
 
 import pytest
 
+from cdcsr.locks import Busy
 from tests.support.tiny import tiny_job
-from training.run.locks import Busy
 from training.study.execute import ray_executor
 from training.study.execute.jobs import Job
 from training.study.execute.local import Progress, duration, failure

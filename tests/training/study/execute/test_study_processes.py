@@ -15,8 +15,8 @@ from pathlib import Path
 
 import pytest
 
+from cdcsr.locks import lock
 from tests.support.tiny import TINY_BUDGET, is_held, tiny_job
-from training.run.locks import lock
 from training.study.declare.run_spec import SCRIPTED, RunSpec
 from training.study.execute import local
 from training.study.execute.evaluations import EPISODE_COLUMNS, FOLLOW_COLUMNS

@@ -349,7 +349,7 @@ def test_report_is_whole_and_replaces_only_reports(
     before = {file.name: file.read_bytes() for file in out.iterdir()}
     report(results=study, out=out)
     assert {file.name: file.read_bytes() for file in out.iterdir()} == before
-    with pytest.raises(CdcsrError, match="no report"):
+    with pytest.raises(CdcsrError, match="not a report"):
         report(results=study, out=study)
 
 

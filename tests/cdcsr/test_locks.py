@@ -13,9 +13,9 @@ from pathlib import Path
 
 import pytest
 
+from cdcsr import locks
+from cdcsr.locks import STALE_AFTER, Busy, lock
 from tests.support.tiny import is_held
-from training.run import locks
-from training.run.locks import STALE_AFTER, Busy, lock
 
 
 def test_a_lock_is_held_once_and_given_back(tmp_path: Path) -> None:
@@ -30,7 +30,7 @@ def test_a_lock_is_held_once_and_given_back(tmp_path: Path) -> None:
 
 def test_the_lock_of_a_killed_process_is_taken_over(tmp_path: Path) -> None:
     path = tmp_path / "run.lock"
-    code = "import sys, time; from pathlib import Path; from training.run.locks import lock\n"
+    code = "import sys, time; from pathlib import Path; from cdcsr.locks import lock\n"
     code += "with lock(Path(sys.argv[1])): print('held', flush=True); time.sleep(60)"
     process = subprocess.Popen([sys.executable, "-c", code, str(path)], stdout=subprocess.PIPE)
     assert process.stdout is not None
