@@ -47,7 +47,8 @@ def experiments(
     """
     from cdcsr.errors import CdcsrError, CheckFailed, unknown_choice
     from cdcsr.files import write_json
-    from training.study.declare.grid import BUDGETS, EXPERIMENTS, collect
+    from training.study.declare.budgets import BUDGETS
+    from training.study.declare.grid import EXPERIMENTS, collect
     from training.study.execute.jobs import Job
 
     if not names and not list:
@@ -112,14 +113,14 @@ def _show(
     chosen: Sequence[str], wanted: list[Any], budget: Any, results: Path, named: bool
 ) -> None:
     """Print the experiments, or the runs of those that were named."""
-    from training.study.declare.grid import collect, summary
+    from training.study.declare.grid import EXPERIMENTS, collect
     from training.study.execute.jobs import Job
 
     for name in chosen:
         cells = collect([name], budget)
         own = [Job(*cells[job.name], budget) for job in wanted if job.name in cells]
         done = sum(job.is_done(results) for job in own)
-        print(f"{name:<13} {summary(name)} ({done} of {len(own)} runs done)")
+        print(f"{name:<13} {EXPERIMENTS[name].summary} ({done} of {len(own)} runs done)")
     if named:
         for job in wanted:
             print(f"  {'done' if job.is_done(results) else '-':<5} {job.name}")

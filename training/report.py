@@ -89,7 +89,8 @@ def report(
 
 def _expected(runs: Sequence[Run]) -> Expected | None:
     """The runs each experiment has in the budget that most runs have been made with; None if it is unknown."""
-    from training.study.declare.grid import BUDGETS, expected
+    from training.study.declare.budgets import BUDGETS
+    from training.study.declare.grid import expected
 
     (budget, _), *_ = Counter(one.budget for one in runs).most_common()
     return expected(BUDGETS[budget]) if budget in BUDGETS else None

@@ -11,7 +11,7 @@ from cdcsr import locks
 from cdcsr.robot.description import Robot
 from training.networks.actor import Actor
 from training.policy import Policy
-from training.study.declare.grid import Budget
+from training.study.declare.budgets import Budget
 from training.study.declare.run_spec import RunSpec
 from training.study.execute.jobs import Job
 

@@ -29,7 +29,8 @@ from training.networks.bfloat16 import has_fast_bfloat16
 from training.policy import Policy, load_policy
 from training.run.heeded import refuse_unheeded
 from training.run.trainer import Run, train
-from training.study.declare.grid import BUDGETS, EXPERIMENTS, collect
+from training.study.declare.budgets import BUDGETS
+from training.study.declare.grid import EXPERIMENTS, collect
 
 _SMALL = dataclasses.replace(
     PRESETS["tuned"],

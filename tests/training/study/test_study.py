@@ -16,91 +16,15 @@ from cdcsr.errors import CdcsrError
 from cdcsr.files import write_json
 from cdcsr.robot.description import load_robot
 from controllers.jacobian import JacobianController
-from tests.support.tiny import TINY, TINY_BUDGET, tiny_job
+from tests.support.tiny import TINY_BUDGET, tiny_job
 from training.experiments import experiments
 from training.measure.following import follow
-from training.study.declare.grid import BUDGETS, EXPERIMENTS, Budget, collect, expected, summary
+from training.study.declare.budgets import BUDGETS
+from training.study.declare.grid import EXPERIMENTS, collect
 from training.study.declare.run_spec import SCRIPTED, RunSpec
 from training.study.execute import evaluations, jobs
 from training.study.execute.evaluations import EPISODE_COLUMNS, EVALUATIONS, Evaluation
 from training.study.execute.jobs import Job
-
-# -- the grid ----------------------------------------------------------------------------------------------------
-
-
-def test_a_name_is_one_run_and_a_run_one_name() -> None:
-    base = RunSpec("batd3", space="spatter")
-    assert base.name == "batd3-tuned_spatter_mujoco_d10_u6000_s0"
-    others = [
-        replace(base, **{name: value})
-        for name, value in {
-            "algorithm": "bc",
-            "preset": "paper",
-            "backend": "pybullet",
-            "space": "anchor",
-            "task": "quiet",
-            "seed": 1,
-            "demonstrations": 5,
-            "updates": 10,
-            "randomize": 0.5,
-            "switches": (("critics", 3),),
-        }.items()
-    ]
-    assert len({spec.name for spec in [base, *others]}) == 11
-    assert replace(base, switches=(("hidden", (8, 8)), ("critics", 3))).name.endswith(
-        "_s0_critics=3_hidden=8x8"
-    )
-
-
-def test_a_run_is_read_back_as_it_was_written() -> None:
-    spec = RunSpec("batd3", seed=3, randomize=0.5, switches=TINY)
-    assert RunSpec.from_json(json.dumps(spec.as_dict())) == spec
-    job = Job(spec, ("nominal", "follow"), TINY_BUDGET)
-    assert Job.from_json(job.to_json()) == job
-    with pytest.raises(CdcsrError, match="not a run of the study"):
-        RunSpec.from_json('{"algorithm": "bc", "colour": "red"}')
-    with pytest.raises(
-        CdcsrError, match=r"Unknown field of the learner 'critic'\. Did you mean 'critics'"
-    ):
-        RunSpec("batd3", switches=(("critic", 3),))
-
-
-def test_switches_and_counts_reach_the_training_run() -> None:
-    config = RunSpec("td3", demonstrations=5, updates=77, seed=2, switches=(("critics", 3),)).train(
-        Path("x")
-    )
-    assert (
-        config.num_demonstrations,
-        config.learner.updates,
-        config.seed,
-        config.learner.critics,
-    ) == (5, 77, 2, 3)
-
-
-@pytest.mark.parametrize("budget", BUDGETS.values(), ids=BUDGETS)
-def test_every_experiment_is_said_and_has_each_seed(budget: Budget) -> None:
-    names = expected(budget)
-    for experiment, runs in names.items():
-        assert summary(experiment).endswith(".")
-        assert len(runs) == len(set(runs))
-        cells = collect([experiment], budget)
-        assert {spec.seed for spec, _ in cells.values()} == set(range(budget.seeds))
-        trained = [spec for spec, _ in cells.values() if spec.algorithm != SCRIPTED]
-        lengths = {spec.updates / budget.length(spec.preset) for spec in trained}
-        assert lengths == {"longer": {4}, "moving": {1, 4}, "rivals": {1, 4}}.get(experiment, {1})
-    # Together each run comes once, with the evaluations of all: Table IV's are runs of Table II.
-    both = collect(["table2", "table4"], budget)
-    assert sorted(both) == sorted({*names["table2"], *names["table4"]})
-    assert both[f"batd3-tuned_spatter_mujoco_d10_u{budget.updates}_s0"][1] == (
-        "nominal",
-        "disturbances",
-    )
-    assert {evaluations for _, evaluations in collect(["table3"], budget).values()} == {
-        ("nominal", "workspace")
-    }
-    seeds = [spec.seed for spec, _ in collect(list(EXPERIMENTS), budget).values()]
-    assert seeds == sorted(seeds)
-
 
 # -- evaluations -------------------------------------------------------------------------------------------------
 

@@ -20,7 +20,7 @@ from cdcsr.errors import CdcsrError, unknown_choice
 from cdcsr.files import write_bytes, write_json
 from cdcsr.locks import lock
 from training.config.run_config import AlgorithmName, Learner
-from training.study.declare.grid import Budget
+from training.study.declare.budgets import Budget
 from training.study.declare.run_spec import RunSpec
 
 RECORD = "run.json"

@@ -18,7 +18,7 @@ from cdcsr.simulation.engines import engine_title
 from training.measure.statistics import band
 from training.plots.style import algorithm_title, short_count
 from training.study.declare.grid import ABLATIONS
-from training.study.declare.switches import OURS
+from training.study.declare.learner_changes import OURS
 from training.study.report.cells import amount, measure, who
 from training.study.report.records import JACOBIAN, SPACES, Run, Setting, grouped
 from training.study.report.tables import COUNTED, counted

@@ -15,7 +15,7 @@ from training.measure.plant_axes import AXES, Axis
 from training.measure.statistics import Sweep, disagreement, halving, rate
 from training.plots.style import algorithm_title
 from training.study.declare.grid import ABLATIONS, AROUND, COUNTS
-from training.study.declare.switches import GENERAL, OURS, PUT_BACK, RAISED
+from training.study.declare.learner_changes import GENERAL, OURS, PUT_BACK, RAISED
 from training.study.report.cells import (
     COST,
     TRAINED,

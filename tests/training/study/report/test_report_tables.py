@@ -13,7 +13,8 @@ from cdcsr.errors import CdcsrError
 from tests.support.small_study import HEAD, find, nominal, write_csv, write_run
 from training.measure.statistics import Sweep, halving
 from training.report import report
-from training.study.declare.grid import BUDGETS, expected
+from training.study.declare.budgets import BUDGETS
+from training.study.declare.grid import expected
 from training.study.report.aggregate import aggregate
 from training.study.report.cells import Table, measure
 from training.study.report.engine_differences import differences

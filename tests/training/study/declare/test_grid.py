@@ -1,0 +1,113 @@
+"""The grid of experiments: names, seeds, lengths, and that recorded runs still belong to it."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+
+from cdcsr.errors import CdcsrError
+from tests.support.tiny import TINY, TINY_BUDGET
+from training.study.declare.budgets import BUDGETS, Budget
+from training.study.declare.grid import EXPERIMENTS, collect, expected
+from training.study.declare.run_spec import RunSpec
+from training.study.execute.jobs import Job
+
+RECORDS = Path(__file__).parents[4] / "results" / "study"
+RETIRED = (
+    "step_cost",
+    "final_learning_rate",
+    "scaled_values",
+    "target_choice",
+    "keep_successes",
+)
+"""Options that were tried without gain and removed. The records of those trials are kept."""
+
+
+def test_different_runs_have_different_names() -> None:
+    base = RunSpec("batd3", space="spatter")
+    assert base.name == "batd3-tuned_spatter_mujoco_d10_u6000_s0"
+    others = [
+        replace(base, **{name: value})
+        for name, value in {
+            "algorithm": "bc",
+            "preset": "paper",
+            "backend": "pybullet",
+            "space": "anchor",
+            "task": "quiet",
+            "seed": 1,
+            "demonstrations": 5,
+            "updates": 10,
+            "randomize": 0.5,
+            "switches": (("critics", 3),),
+        }.items()
+    ]
+    assert len({spec.name for spec in [base, *others]}) == 11
+    assert replace(base, switches=(("hidden", (8, 8)), ("critics", 3))).name.endswith(
+        "_s0_critics=3_hidden=8x8"
+    )
+
+
+def test_a_run_is_read_back_as_it_was_written() -> None:
+    spec = RunSpec("batd3", seed=3, randomize=0.5, switches=TINY)
+    assert RunSpec.from_json(json.dumps(spec.as_dict())) == spec
+    job = Job(spec, ("nominal", "follow"), TINY_BUDGET)
+    assert Job.from_json(job.to_json()) == job
+    with pytest.raises(CdcsrError, match="not a run of the study"):
+        RunSpec.from_json('{"algorithm": "bc", "colour": "red"}')
+    with pytest.raises(
+        CdcsrError, match=r"Unknown field of the learner 'critic'\. Did you mean 'critics'"
+    ):
+        RunSpec("batd3", switches=(("critic", 3),))
+
+
+def test_changes_and_counts_reach_the_training_run() -> None:
+    spec = RunSpec("td3", demonstrations=5, updates=77, seed=2, switches=(("critics", 3),))
+    config = spec.train(Path("x"))
+    assert (config.num_demonstrations, config.seed) == (5, 2)
+    assert (config.learner.updates, config.learner.critics) == (77, 3)
+
+
+@pytest.mark.parametrize("budget", BUDGETS.values(), ids=BUDGETS)
+def test_every_experiment_has_a_summary_and_each_seed(budget: Budget) -> None:
+    names = expected(budget)
+    for experiment, runs in names.items():
+        assert EXPERIMENTS[experiment].summary.endswith(".")
+        assert len(runs) == len(set(runs))
+        cells = collect([experiment], budget)
+        assert {spec.seed for spec, _ in cells.values()} == set(range(budget.seeds))
+        trained = [spec for spec, _ in cells.values() if spec.trains]
+        lengths = {spec.updates / budget.length(spec.preset) for spec in trained}
+        assert lengths == {"longer": {4}, "moving": {1, 4}, "rivals": {1, 4}}.get(experiment, {1})
+    seeds = [spec.seed for spec, _ in collect(list(EXPERIMENTS), budget).values()]
+    assert seeds == sorted(seeds)
+
+
+@pytest.mark.parametrize("budget", BUDGETS.values(), ids=BUDGETS)
+def test_a_run_of_two_experiments_comes_once_with_the_evaluations_of_both(budget: Budget) -> None:
+    names = expected(budget)
+    both = collect(["table2", "table4"], budget)
+    assert sorted(both) == sorted({*names["table2"], *names["table4"]})
+    shared = f"batd3-tuned_spatter_mujoco_d10_u{budget.updates}_s0"
+    assert both[shared][1] == ("nominal", "disturbances")
+    alone = collect(["table3"], budget)
+    assert {evaluations for _, evaluations in alone.values()} == {("nominal", "workspace")}
+
+
+def test_the_demonstrator_runs_once_and_methods_run_with_every_seed() -> None:
+    seeds: dict[str, list[int]] = {}
+    for spec, _ in collect(["table2"], BUDGETS["standard"]).values():
+        seeds.setdefault(spec.algorithm, []).append(spec.seed)
+    assert seeds.pop("jacobian") == [0]
+    assert all(sorted(found) == [0] * 3 + [1] * 3 + [2] * 3 for found in seeds.values())
+
+
+def test_every_recorded_run_is_declared_unless_its_option_is_retired() -> None:
+    declared = {name for budget in BUDGETS.values() for name in collect([*EXPERIMENTS], budget)}
+    recorded = {path.parent.name for path in RECORDS.glob("*/run.json")}
+    undeclared = recorded - declared
+    assert len(recorded & declared) > 600
+    assert len(undeclared) == 18
+    assert all(any(name in run for name in RETIRED) for run in undeclared)
