@@ -72,3 +72,11 @@ def drawn(
         data = io.BytesIO()
         figure.savefig(data, format="png", dpi=_DPI, bbox_inches="tight", pad_inches=0.08)
     write_bytes(path, data.getvalue())
+
+
+def short_count(value: float, _: object = None) -> str:
+    """Format a number for an axis: 1,500,000 as 1.5M, 2,000 as 2k."""
+    for unit, letter in ((1e6, "M"), (1e3, "k")):
+        if abs(value) >= unit:
+            return f"{value / unit:g}{letter}"
+    return f"{value:g}"

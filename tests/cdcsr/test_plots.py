@@ -9,7 +9,7 @@ import pytest
 from PIL import Image
 
 from cdcsr.errors import CdcsrError
-from cdcsr.plots import drawn
+from cdcsr.plots import drawn, short_count
 
 
 def test_a_figure_is_a_file_when_the_block_ends(tmp_path: Path) -> None:
@@ -31,3 +31,12 @@ def test_a_figure_that_fails_leaves_no_file(tmp_path: Path) -> None:
     (tmp_path / "file").touch()
     with pytest.raises(CdcsrError, match="Cannot write"), drawn(tmp_path / "file" / "a", (1, 1)):
         pass
+
+
+def test_large_numbers_are_short_on_an_axis() -> None:
+    assert [short_count(value) for value in (0, 250, 2_000, 1_500_000)] == [
+        "0",
+        "250",
+        "2k",
+        "1.5M",
+    ]

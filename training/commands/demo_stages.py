@@ -24,8 +24,9 @@ from training.config.run_config import PRESETS, Learner, Train
 from training.config.seeds import TEST_SEED
 from training.measure.evaluation import Result
 from training.measure.transfer_matrix import disagreements, format_table, transfer
-from training.plots.run_plots import learning_curve, targets_picture
+from training.plots.learning_curve import draw_learning_curve
 from training.plots.style import algorithm_title
+from training.plots.targets import draw_targets
 from training.plots.video import policy_video
 from training.policy import Policy, load_policy
 from training.run.metrics import read_metrics
@@ -241,7 +242,7 @@ def _draw(
         for cell in cells
         if cell["backend"] == TRAINED_IN and cell["controller"] != policies[-1].name
     }
-    learning_curve([out / RUN], out / CURVE, references)
+    draw_learning_curve([out / RUN], out / CURVE, references)
     results = {
         f"{titles[cell['controller']]} in {engine_title(cell['backend'])}": Result(
             *(np.array(cell[name]) for name in ("success", "length", "distance", "targets"))
@@ -249,7 +250,7 @@ def _draw(
         for cell in cells
         if cell["controller"] in titles
     }
-    targets_picture(results, robot, out / TARGETS)
+    draw_targets(results, robot, out / TARGETS)
 
 
 def _digest(folder: Path) -> str:

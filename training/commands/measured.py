@@ -59,14 +59,14 @@ def report_cells(
         )
     if plot is not None:
         from cdcsr.simulation.engines import engine_title
-        from training.plots.run_plots import targets_picture
+        from training.plots.targets import draw_targets
 
         panels = {
             f"{cell.controller} in {engine_title(cell.backend)}"
             + (f", {cell.space}" if len(spaces) > 1 else ""): cell
             for cell in cells
         }
-        targets_picture({title: cell.result for title, cell in panels.items()}, robot, plot)
+        draw_targets({title: cell.result for title, cell in panels.items()}, robot, plot)
         print(f"\ndrawn to {plot}")
 
 

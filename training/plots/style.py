@@ -1,4 +1,4 @@
-"""Titles of algorithms, and what else the figures of training share."""
+"""Titles of algorithms."""
 
 from __future__ import annotations
 
@@ -18,17 +18,8 @@ ALGORITHMS = {
     "jacobian": "demonstrator",
 }
 """Titles of algorithms by their names, in the order tables list them."""
-PALE = "#c9ccd1"
 
 
 def algorithm_title(name: str) -> str:
     """An algorithm's name as it is written in text."""
     return ALGORITHMS.get(name, name)
-
-
-def short_count(value: float, _: float) -> str:
-    """1500000 as 1.5M; for an axis' ticks."""
-    for unit, letter in ((1e6, "M"), (1e3, "k")):
-        if abs(value) >= unit:
-            return f"{value / unit:g}{letter}"
-    return f"{value:g}"

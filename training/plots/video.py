@@ -19,7 +19,7 @@ from cdcsr.files import write_bytes
 from cdcsr.robot.description import Robot
 from cdcsr.simulation.engines import engine_title
 from controllers.controller import Controller
-from training.plots.run_plots import MISSED_COLOR, REACHED_COLOR
+from training.plots.targets import MISSED_COLOR, REACHED_COLOR
 
 Array = NDArray[np.float64]
 Picture = NDArray[np.uint8]

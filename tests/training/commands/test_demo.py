@@ -47,8 +47,8 @@ def test_demo_goes_on_where_it_was_stopped(tmp_path: Path, monkeypatch: pytest.M
         "demonstrate",
         "train",
         "transfer",
-        "learning_curve",
-        "targets_picture",
+        "draw_learning_curve",
+        "draw_targets",
         "policy_video",
     )
     killed_in = "transfer"

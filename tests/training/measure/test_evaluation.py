@@ -30,7 +30,7 @@ from training.measure.transfer_matrix import (
     transfer,
 )
 from training.networks.actor import Actor
-from training.plots import run_plots as figures
+from training.plots import targets as figures
 from training.policy import Policy, find_policy
 
 Array = NDArray[np.float64]
@@ -174,7 +174,7 @@ def test_transfer_command_writes_every_cell(
 def test_each_cell_is_a_panel_of_the_plot(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     drawn: dict[Path, list[str]] = {}
     monkeypatch.setattr(
-        figures, "targets_picture", lambda results, _, path: drawn.update({path: list(results)})
+        figures, "draw_targets", lambda results, _, path: drawn.update({path: list(results)})
     )
     one, all_spaces = tmp_path / "one.png", tmp_path / "all.png"
     evaluate_command("jacobian", episodes=1, space="anchor", plot=one)

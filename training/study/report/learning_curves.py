@@ -13,10 +13,10 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import PercentFormatter
 from numpy.typing import NDArray
 
-from cdcsr.plots import COLORS, INK, SOFT, drawn
+from cdcsr.plots import COLORS, INK, SOFT, drawn, short_count
 from cdcsr.simulation.engines import engine_title
 from training.measure.statistics import band
-from training.plots.style import algorithm_title, short_count
+from training.plots.style import algorithm_title
 from training.study.declare.grid import ABLATIONS
 from training.study.declare.learner_changes import OURS
 from training.study.report.cells import amount, measure, who

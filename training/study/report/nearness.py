@@ -163,7 +163,10 @@ def _draw(rows: Sequence[Row], path: Path) -> None:
                     (i, found.value) for i, (_, found) in enumerate(row.bins) if found is not None
                 ]
                 style = "--" if row.setting.algorithm == JACOBIAN else "-"
-                color, name = ALGORITHM_COLORS[row.setting.algorithm], algorithm_title(row.setting.algorithm)
+                color, name = (
+                    ALGORITHM_COLORS[row.setting.algorithm],
+                    algorithm_title(row.setting.algorithm),
+                )
                 axes.plot(
                     *np.transpose(points),
                     ls=style,

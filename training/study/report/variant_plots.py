@@ -9,9 +9,9 @@ from textwrap import fill
 
 import numpy as np
 
-from cdcsr.plots import drawn
+from cdcsr.plots import drawn, short_count
 from cdcsr.simulation.engines import engine_title
-from training.plots.style import algorithm_title, short_count
+from training.plots.style import algorithm_title
 from training.study.report.learning_curves import (
     ALGORITHM_COLORS,
     aligned,
