@@ -2,6 +2,7 @@
 PYTHON ?= python3
 BIN := .venv/bin
 INSTALLED := .venv/.installed
+PIP := $(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt
 
 .DEFAULT_GOAL := help
 .PHONY: help setup check test test-all demo bench clean
@@ -10,8 +11,8 @@ help:
 	@echo "make demo      train a small policy and show it in both engines, into demo/"
 	@echo "make test      checks, then the fast tests"
 	@echo "make test-all  checks, then every test"
-	@echo "make bench     speed, as ratios within one process"
-	@echo "make check     lint, format, types, import contracts"
+	@echo "make bench     measure speed and memory, times as ratios within one process"
+	@echo "make check     lint, format, types, import contract"
 	@echo "make setup     create .venv with the versions in constraints.txt"
 	@echo "make clean     remove .venv, caches and build files"
 
@@ -22,8 +23,9 @@ $(INSTALLED): pyproject.toml constraints.txt
 		{ echo "Python 3.11 or newer is needed: make PYTHON=/path/to/python3.11"; exit 1; }
 	@echo "==> creating .venv"
 	@test -x $(BIN)/python || $(PYTHON) -m venv .venv
+	@$(PIP) pip
 	@echo "==> installing the versions in constraints.txt (downloads on the first run)"
-	@$(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt -e '.[dev]'
+	@$(PIP) -e '.[study]' --group dev
 	@touch $@
 
 check: setup
@@ -33,7 +35,7 @@ check: setup
 	@$(BIN)/ruff format --check .
 	@echo "==> types"
 	@$(BIN)/pyright
-	@echo "==> import contracts"
+	@echo "==> import contract"
 	@$(BIN)/lint-imports
 
 test: check
