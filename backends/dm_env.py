@@ -19,7 +19,6 @@ from numpy.typing import NDArray
 
 from backends.mujoco.model import build_spec
 from backends.mujoco.simulation import MujocoSimulation
-from cdcsr.envs.gym_env import EPISODE_STEPS
 from cdcsr.errors import Diverged
 from cdcsr.robot.description import Robot, load_robot
 from cdcsr.simulation.contract import Array, Simulation
@@ -211,7 +210,7 @@ def make_dm_environment(
     seed: int = 0,
     reward: Reward = "sparse",
     frame_skip: int = 1,
-    max_steps: int = EPISODE_STEPS,
+    max_steps: int = Reach.max_steps,
     threshold: float = 0.03,
     centers: Array | None = None,
     flat_observation: bool = False,

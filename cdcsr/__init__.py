@@ -1,7 +1,7 @@
-"""Cable-driven continuum space robots: one description, any engine, and the tasks they are given.
+"""Cable-driven continuum space robots: one description, any engine, and tasks.
 
-Importing this package makes the environments `cdcsr/Reach-v0`, `cdcsr/Capture-v0` and `cdcsr/Follow-v0` known to
-Gymnasium.
+Importing this package registers the environments `cdcsr/Reach-v0`, `cdcsr/Capture-v0` and
+`cdcsr/Follow-v0` with Gymnasium.
 """
 
 import gymnasium

@@ -89,7 +89,7 @@ def refuse_unwritable(path: Path) -> None:
 
 @contextmanager
 def new_folder(path: Path, kind: str, force: bool) -> Iterator[Path]:
-    """Build a whole folder: fill the one that is yielded, and it is put in place at the block's end.
+    """Build a whole folder: fill the one that is yielded; it is put in place at the block's end.
 
     If the block fails, nothing of it is left, and the folder that it was to replace is still there.
 

@@ -7,8 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from cdcsr.envs.gym_env import EPISODE_STEPS
 from cdcsr.robot.description import Robot
+from cdcsr.tasks.catalogue import Reach
 
 Array = NDArray[np.float64]
 
@@ -33,7 +33,7 @@ class Commands:
         return np.arange(self.values.shape[1])[:, None] < self.length
 
 
-def random_commands(robot: Robot, episodes: int, seed: int, steps: int = EPISODE_STEPS) -> Commands:
+def random_commands(robot: Robot, episodes: int, seed: int, steps: int = Reach.max_steps) -> Commands:
     """Uniform set-points over the whole range, each held for ten steps."""
     eta = np.array([servo.eta for servo in robot.servos])
     draws = -eta * np.random.default_rng(seed).random(

@@ -1,4 +1,4 @@
-"""What the robot is asked to do: reach, capture, follow; by name, with all their numbers."""
+"""The tasks: reach, capture and follow, and the list of all named tasks."""
 
 from __future__ import annotations
 
@@ -12,19 +12,19 @@ from cdcsr.errors import CdcsrError, unknown_choice
 from cdcsr.simulation.contract import State
 from cdcsr.tasks.observation import BASE_POSITION, BASE_QUATERNION, DISTANCE, TIP_VELOCITY
 from cdcsr.tasks.target_motion import MotionName
-from cdcsr.tasks.task import Array, Mask, Memory, Task, Verdict, base_errors
+from cdcsr.tasks.task import Array, Counts, Mask, Task, Verdict, base_errors
 
 
 @dataclass(frozen=True)
 class Reach(Task):
-    """Bring the tip onto the target, fast or slow (BATD3 paper, section III-A)."""
+    """Bring the tip onto the target, at any speed (BATD3 paper, section III-A)."""
 
     kind: ClassVar[str] = "reach"
 
-    def _count(self, on_target: Mask, memory: Memory) -> None:
-        """There is nothing to remember."""
+    def _count(self, on_target: Mask, counts: Counts) -> None:
+        """Count nothing."""
 
-    def _verdict(self, on_target: Mask, memory: Memory) -> Verdict:
+    def _verdict(self, on_target: Mask, counts: Counts) -> Verdict:
         return Verdict(on_target, on_target, on_target, on_target)
 
     def _first_success(self, on_target: Mask) -> int | None:
@@ -33,84 +33,89 @@ class Reach(Task):
 
 @dataclass(frozen=True)
 class Capture(Task):
-    """Bring the tip onto the target and keep it there, slow relative to it, long enough to grasp."""
+    """Bring the tip onto the target and keep it there, slow enough and long enough to grasp it."""
 
     max_steps: int = 500
     speed: float = 0.1
-    """On target is only a tip slower than this relative to the target, in [m/s]."""
+    """The tip is on the target only if it is slower than this, relative to it, in [m/s]."""
     dwell: float = 0.1
-    """Success is having been on target after every action for this long, in [s]."""
+    """The episode succeeds once the tip was on target after every action for this long, in [s]."""
 
     kind: ClassVar[str] = "capture"
-    remembers: ClassVar[tuple[str, ...]] = ("dwelt",)
+    count_names: ClassVar[tuple[str, ...]] = ("dwelt",)
 
     def on_target(
-        self, distance: Array, motion: Array, base_position: Array, base_quaternion: Array
+        self,
+        distance: Array,
+        relative_velocity: Array,
+        base_position: Array,
+        base_quaternion: Array,
     ) -> Mask:
-        near = super().on_target(distance, motion, base_position, base_quaternion)
-        return near & (np.linalg.norm(motion, axis=1) < self.speed)
+        near = super().on_target(distance, relative_velocity, base_position, base_quaternion)
+        return near & (np.linalg.norm(relative_velocity, axis=1) < self.speed)
 
-    def _count(self, on_target: Mask, memory: Memory) -> None:
-        memory["dwelt"] += 1
-        memory["dwelt"] *= on_target
+    def _count(self, on_target: Mask, counts: Counts) -> None:
+        counts["dwelt"] += 1
+        counts["dwelt"] *= on_target
 
-    def _verdict(self, on_target: Mask, memory: Memory) -> Verdict:
-        success = memory["dwelt"] >= actions_in(self.dwell, self.period)
+    def _verdict(self, on_target: Mask, counts: Counts) -> Verdict:
+        success = counts["dwelt"] >= actions_in(self.dwell, self.period)
         return Verdict(on_target, success, success, success)
 
-    def report(self, state: State, verdict: Verdict, memory: Memory) -> dict[str, Array]:
-        """How long the tip has been on target, in [s]."""
-        return {"dwelt": memory["dwelt"].astype(np.float64) * self.period}
+    def extra_info(self, state: State, counts: Counts) -> dict[str, Array]:
+        """Return `dwelt`: how long the tip has been on target without a break, in [s]."""
+        return {"dwelt": counts["dwelt"].astype(np.float64) * self.period}
 
 
 @dataclass(frozen=True)
 class Follow(Task):
-    """Keep the tip on a target that moves, until time is up (BATD3 paper, section V-F).
+    """Keep the tip on a moving target until time is up (BATD3 paper, section V-F).
 
-    The reward is 1 after every action that leaves the tip on the target. An episode is a success if that was so
-    after at least 90 % of the actions that came once the arm had had the time of a reach, 0.625 s; before its end,
-    `is_success` says how it stands so far.
+    The reward is 1 after every action that leaves the tip on the target. The actions of the first
+    0.625 s, the time of a reach, do not count for success; the episode succeeds if the tip was on
+    target after at least 90 % of the others. Before its end, `is_success` says how it stands.
     """
 
     motion: MotionName = "line"
     max_steps: int = 1000
     settling: float = 0.625
-    """[s]."""
+    """The time at the start that does not count for success, in [s]."""
     share: float = 0.9
+    """The share of the other actions that must leave the tip on target."""
 
     kind: ClassVar[str] = "follow"
     ends: ClassVar[bool] = False
-    remembers: ClassVar[tuple[str, ...]] = (
+    count_names: ClassVar[tuple[str, ...]] = (
         "actions",
         "settled_on_target",
         "since_contact",
         "on_target",
     )
 
-    def _count(self, on_target: Mask, memory: Memory) -> None:
-        memory["actions"] += 1
-        memory["settled_on_target"] += on_target & (self._counted(memory) > 0)
-        memory["since_contact"] += on_target | (memory["since_contact"] > 0)
-        memory["on_target"] += on_target
+    def _count(self, on_target: Mask, counts: Counts) -> None:
+        counts["actions"] += 1
+        counts["settled_on_target"] += on_target & (self._settled_actions(counts) > 0)
+        counts["since_contact"] += on_target | (counts["since_contact"] > 0)
+        counts["on_target"] += on_target
 
-    def _verdict(self, on_target: Mask, memory: Memory) -> Verdict:
-        counted = self._counted(memory)
+    def _verdict(self, on_target: Mask, counts: Counts) -> Verdict:
+        settled = self._settled_actions(counts)
         # In whole actions, so that 90 of 100 are 90 %.
-        success = (counted > 0) & (
-            memory["settled_on_target"] >= np.ceil(self.share * counted - 1e-9)
-        )
+        least = np.ceil(self.share * settled - 1e-9)
+        success = (settled > 0) & (counts["settled_on_target"] >= least)
         return Verdict(on_target, success, np.zeros_like(success), on_target)
 
-    def _counted(self, memory: Memory) -> NDArray[np.int64]:
-        """Actions after settling, shape (num,)."""
-        return np.maximum(memory["actions"] - actions_in(self.settling, self.period), 0)
+    def _settled_actions(self, counts: Counts) -> NDArray[np.int64]:
+        """Return how many actions came after settling, shape (num,)."""
+        return np.maximum(counts["actions"] - actions_in(self.settling, self.period), 0)
 
-    def report(self, state: State, verdict: Verdict, memory: Memory) -> dict[str, Array]:
-        """Share of actions since the first contact that left the tip on target (0 before it), and base errors."""
+    def extra_info(self, state: State, counts: Counts) -> dict[str, Array]:
+        """Return the share of actions since the first contact that left the tip on target (zero
+        before it), and the distance and angle of the base from its start, in [m] and [rad]."""
         shift, tilt = base_errors(state.base_position, state.base_quaternion)
+        since_contact = np.maximum(counts["since_contact"], 1)
         return {
-            "share_on_target": memory["on_target"].astype(np.float64)
-            / np.maximum(memory["since_contact"], 1),
+            "share_on_target": counts["on_target"].astype(np.float64) / since_contact,
             "base_position_error": shift,
             "base_attitude_error": tilt,
         }
@@ -126,11 +131,11 @@ class Follow(Task):
         return self.reward(after[:, DISTANCE], on_target)
 
     def _first_success(self, on_target: Mask) -> int | None:
-        """It is decided at the end."""
-        memory = self.memory(1)
+        """Return T if the episode succeeds; only its end decides that."""
+        counts = self.new_counts(1)
         for holds in on_target:
-            self._count(np.array([holds]), memory)
-        return len(on_target) if self._verdict(on_target[-1:], memory).success[0] else None
+            self._count(np.array([holds]), counts)
+        return len(on_target) if self._verdict(on_target[-1:], counts).success[0] else None
 
 
 TASKS: dict[str, Task] = {
@@ -147,18 +152,18 @@ TASKS: dict[str, Task] = {
         Follow(motion="random"),
     )
 }
-"""The named tasks: reach, precise, quiet, capture, capture-drift, ..., follow-line, ..."""
+"""All named tasks: reach, precise, quiet, capture, capture-drift, ..., follow-line, ..."""
 
 
 def make_task(name: str | Task, **changes: Any) -> Task:
-    """A task by its name in :data:`TASKS`, with other numbers where `changes` give them.
+    """Return a task with some of its numbers changed.
 
     Args:
-        name: its name, or a task.
-        changes: fields of the task; None keeps what it has.
+        name: a name in :data:`TASKS`, or a task.
+        changes: fields of the task; a value of None changes nothing.
 
     Raises:
-        CdcsrError: there is no such task, or a number does not fit.
+        CdcsrError: there is no such task, or a number is out of range.
     """
     if isinstance(name, str):
         if name not in TASKS:
@@ -168,15 +173,15 @@ def make_task(name: str | Task, **changes: Any) -> Task:
 
 
 def actions_in(time: float, period: float) -> int:
-    """How many actions, one every `period`, it takes for `time` to pass; both in [s]."""
+    """Return how many actions, one every `period`, it takes for `time` to pass; both in [s]."""
     return int(np.ceil(time / period - 1e-9))
 
 
 def actions_per_episode(max_steps: int, frame_skip: int) -> int:
-    """How many actions, each held for `frame_skip` simulation steps, fit into `max_steps`.
+    """Return how many actions, each held for `frame_skip` simulation steps, fit into `max_steps`.
 
     Raises:
-        CdcsrError: not even one fits, or it would not be held for a step.
+        CdcsrError: frame_skip is below 1 or above max_steps.
     """
     if not 1 <= frame_skip <= max_steps:
         raise CdcsrError(

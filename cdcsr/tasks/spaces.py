@@ -1,4 +1,5 @@
-"""Operation spaces: where targets lie. The three of the BATD3 paper (Tian et al., section V-A), and all around."""
+"""Operation spaces, where targets lie: the three of the BATD3 paper (Tian et al., section V-A), and
+the whole workspace of a robot."""
 
 from __future__ import annotations
 
@@ -16,11 +17,11 @@ from cdcsr.tasks.workspace_map import load_workspace
 Array = NDArray[np.float64]
 
 RADIUS = {"floating": 0.01, "spatter": 0.15}
-"""How far targets lie from the demonstrations' targets, xi_F and xi_S in [m]."""
+"""The largest distance from the demonstrations' targets, xi_F and xi_S, in [m]."""
 SPACES = ("anchor", *RADIUS)
-"""Those of the paper, which every robot has."""
+"""The spaces of the paper, which every robot has."""
 WORKSPACE = "workspace"
-"""All that the demonstrator reaches, for a robot of which there is a map."""
+"""The space of all targets that the demonstrator reaches; it needs a map of the workspace."""
 
 
 class Space(Protocol):
@@ -30,16 +31,18 @@ class Space(Protocol):
     def name(self) -> str: ...
 
     def sample(self, rng: np.random.Generator, num: int) -> Array:
-        """`num` targets, shape (num, 3), world frame, in [m]."""
+        """Draw `num` targets, shape (num, 3), world frame, in [m]."""
         ...
 
 
 @dataclass(frozen=True)
 class Anchor:
-    """A fixed cuboid: large debris, all of whose parts must be reached."""
+    """A fixed cuboid: large debris, of which every part must be reached."""
 
     center: tuple[float, float, float]
+    """World frame, in [m]."""
     size: tuple[float, float, float]
+    """Edge lengths, in [m]."""
     name: str = "anchor"
 
     def sample(self, rng: np.random.Generator, num: int) -> Array:
@@ -47,8 +50,8 @@ class Anchor:
 
 
 @dataclass(frozen=True)
-class Around:
-    """Balls around the demonstrations' targets: debris that floats a little, or has scattered."""
+class Balls:
+    """Balls around the demonstrations' targets: debris that floats a little or has scattered."""
 
     name: str
     centers: Array
@@ -65,14 +68,14 @@ class Around:
 
 
 @dataclass(frozen=True)
-class Beyond:
-    """A space and what lies around it, for practice: half of its targets are moved from where the space has them."""
+class WiderTargets:
+    """A space and its surroundings, for training: half of its targets are moved out of place."""
 
     space: Space
     distance: float
-    """How far they are moved at most, in [m]."""
+    """The largest distance by which a target is moved, in [m]."""
     axes: tuple[bool, bool, bool] = (True, True, True)
-    """World axes along which they may be; for an arm in a plane, those of the plane."""
+    """The world axes along which targets are moved."""
 
     @property
     def name(self) -> str:
@@ -87,40 +90,43 @@ class Beyond:
         return np.where(rng.random((num, 1)) < 0.5, target + far * direction, target)
 
 
-def beyond(space: Space, distance: float, robot: Robot) -> Beyond:
-    """What lies around a space of a robot; of one whose workspace is flat, in that plane.
+def wider_targets(space: Space, distance: float, robot: Robot) -> WiderTargets:
+    """Return a space widened by `distance` metres; in the plane of the workspace if that is flat.
 
     Args:
-        space: where targets of the task lie.
-        distance: how far around it, in [m].
-        robot: whose workspace it is.
+        space: where the targets of the task lie.
+        distance: the largest distance by which a target is moved, in [m].
+        robot: its workspace may be flat.
     """
     x, y, z = (extent > 0 for extent in robot.workspace.size)
-    return Beyond(space, distance, (x, y, z) if x or y or z else (True, True, True))
+    return WiderTargets(space, distance, (x, y, z) if x or y or z else (True, True, True))
 
 
 def demonstration_targets(robot: Robot, num: int = 10, seed: int = 0) -> Array:
-    """The targets of demonstrations, shape (num, 3): drawn in the Anchor Space."""
+    """Draw the targets of demonstrations in the Anchor Space, shape (num, 3), in [m]."""
     return anchor(robot).sample(np.random.default_rng(seed), num)
 
 
 def demonstration_space(name: str) -> str:
-    """Where the demonstrations for learning in a space are taken: in the Anchor Space, or all around in a workspace."""
+    """Return the space of the demonstrations from which a policy learns to work in space `name`.
+
+    That is the Anchor Space, or the whole workspace if `name` means that.
+    """
     return name if name == WORKSPACE or name.endswith(".npz") else "anchor"
 
 
 def anchor(robot: Robot) -> Anchor:
-    """The Anchor Space of a robot."""
+    """Return the Anchor Space of a robot."""
     return Anchor(robot.workspace.center, robot.workspace.size)
 
 
 def make_space(name: str, robot: Robot, centers: Array | None = None) -> Space:
-    """The operation space of that name.
+    """Return an operation space.
 
     Args:
-        name: one of :data:`SPACES`, "workspace", or the path of a map of a workspace, which ends in .npz.
+        name: one of :data:`SPACES`, "workspace", or the path of a map that ends in .npz.
         robot: whose workspace it is.
-        centers: targets of the demonstrations, shape (n, 3); by default those of seed 0.
+        centers: targets of the demonstrations, shape (n, 3), in [m]; by default those of seed 0.
 
     Raises:
         CdcsrError: there is no such space, or no map of the robot's workspace.
@@ -133,4 +139,4 @@ def make_space(name: str, robot: Robot, centers: Array | None = None) -> Space:
         raise CdcsrError(unknown_choice("space", name, (*SPACES, WORKSPACE)))
     if centers is None:
         centers = demonstration_targets(robot)
-    return Around(name, np.asarray(centers, dtype=float), RADIUS[name])
+    return Balls(name, np.asarray(centers, dtype=float), RADIUS[name])

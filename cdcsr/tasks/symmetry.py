@@ -1,8 +1,9 @@
-"""Mirror images of a robot that are the robot itself, and what they make of its observations and commands.
+"""Mirror images of a robot that are the robot itself; their effect on observations and commands.
 
-A robot here is built around the z axis: its bodies are symmetric, and a hinge about x or y stays one in a mirror. So
-its image in the plane x = 0, in y = 0, or in both (a half-turn) is itself if the cables of every segment are. What it
-does when given the image of a command is then the image of what it does, base and all, in any engine.
+The robot is built around the z axis: its bodies are symmetric, and the mirror image of a hinge
+about x or y is such a hinge. So the image of the robot in the plane x = 0, in y = 0, or in both (a
+half-turn) is the robot itself if the same holds for the cables of every segment. Given the image of
+a command, the robot then does the image of what it does given the command, in any engine.
 """
 
 from __future__ import annotations
@@ -23,28 +24,28 @@ _AXES = {"identity": (1, 1), "mirror_x": (-1, 1), "mirror_y": (1, -1), "half_tur
 
 @dataclass(frozen=True, eq=False)
 class Image:
-    """One way in which a robot is its own image; done twice, it undoes itself."""
+    """A mirror image that is the robot itself; mirroring twice changes nothing."""
 
     name: str
     """identity, mirror_x (x becomes -x), mirror_y, or half_turn, which is both."""
     signs: Array
-    """(23 + C,) what each number of eq. (1) is multiplied by."""
+    """The factor on each number of eq. (1), shape (observation size,)."""
     order: NDArray[np.int64]
-    """(23 + C,) where it is taken from."""
+    """Where each number of eq. (1) is taken from, shape (observation size,)."""
     cables: NDArray[np.int64]
-    """(C,) the cable that each cable is the image of."""
+    """The cable that each cable is the image of, shape (C,)."""
 
     def observation(self, observations: Array) -> Array:
-        """What the image of the robot would see, shape (..., 23 + C), of eq. (1) in the world frame."""
+        """Return what the image of the robot observes, shape (..., observation size)."""
         return observations[..., self.order] * self.signs
 
     def command(self, commands: Array) -> Array:
-        """Set-points or actions for the image, shape (..., C)."""
+        """Return the set-points or actions of the image, shape (..., C)."""
         return commands[..., self.cables]
 
 
 def images(robot: Robot) -> list[Image]:
-    """All ways in which a robot is its own image, the identity first."""
+    """Return all mirror images that are the robot itself, the identity first."""
     found = []
     for name, (x, y) in _AXES.items():
         cables = _cables(robot, x, y)
@@ -55,7 +56,8 @@ def images(robot: Robot) -> list[Image]:
 
 
 def _cables(robot: Robot, x: int, y: int) -> list[int] | None:
-    """For each cable the one that it is the image of; None if one has none, or cables of one angle leave it open."""
+    """Return the cable that each cable is the image of; None if one is the image of no cable, or if
+    two cables at the same angle leave that open."""
     if x == y == 1:
         return list(range(robot.num_cables))
     cables: list[int] = []

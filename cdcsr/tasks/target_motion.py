@@ -1,7 +1,7 @@
-"""How targets move. A policy sees only where its target is; how it moves is the environment's secret.
+"""How targets move. A policy observes the position of its target, not its velocity.
 
-A motion draws all that is random about an episode when the episode begins, so stepping draws nothing, and what it
-remembers of each copy is one row of numbers that can be saved and put back.
+A motion draws everything random when an episode begins, so that steps draw nothing. What it has to
+remember of each copy is one row of numbers, its memory, which can be saved and restored.
 """
 
 from __future__ import annotations
@@ -19,22 +19,37 @@ MotionName = Literal["rest", "drift", "tumble", "line", "circle", "random"]
 
 
 class Motion(ABC):
-    """Moves the targets of many copies."""
+    """Move the targets of many copies."""
 
     size: int = 0
-    """Numbers to remember for each copy, besides the target's position and velocity."""
+    """How many numbers the memory of a copy has."""
 
     @abstractmethod
     def begin(self, rng: np.random.Generator, position: Array) -> tuple[Array, Array]:
-        """Start from `position`, shape (n, 3), in [m]: velocity, (n, 3) in [m/s], and memory, (n, size)."""
+        """Draw how targets move that start at a position.
+
+        Args:
+            rng: draws everything that is random.
+            position: shape (n, 3), in [m].
+
+        Returns:
+            Velocity, shape (n, 3), in [m/s], and memory, shape (n, size).
+        """
 
     @abstractmethod
     def advance(self, position: Array, velocity: Array, memory: Array, period: float) -> None:
-        """Carry position and velocity, shape (num, 3), and memory, (num, size), on by `period` seconds, in place."""
+        """Move the targets on, in place.
+
+        Args:
+            position: shape (num, 3), in [m].
+            velocity: shape (num, 3), in [m/s].
+            memory: shape (num, size).
+            period: the time that passes, in [s].
+        """
 
 
 class Rest(Motion):
-    """The target stays where it is."""
+    """Keep the target where it is."""
 
     def begin(self, rng: np.random.Generator, position: Array) -> tuple[Array, Array]:
         return np.zeros_like(position), np.zeros((len(position), self.size))
@@ -44,10 +59,10 @@ class Rest(Motion):
 
 
 class Drift(Motion):
-    """A constant velocity in any direction: debris that floats by."""
+    """Move at a constant velocity in any direction, as debris that floats by."""
 
     speed = 0.1
-    """Largest, in [m/s]; uniform from zero."""
+    """The largest speed, in [m/s]; speeds are uniform from zero."""
 
     def begin(self, rng: np.random.Generator, position: Array) -> tuple[Array, Array]:
         num = len(position)
@@ -60,10 +75,10 @@ class Drift(Motion):
 
 
 class Line(Drift):
-    """Straight down at a constant speed, as in Fig. 6 of the BATD3 paper."""
+    """Move straight down at a constant speed, as in Fig. 6 of the BATD3 paper."""
 
     slowest, speed = 0.05, 0.1
-    """[m/s], uniform between them."""
+    """The least and the largest speed, in [m/s]; speeds are uniform between them."""
 
     def begin(self, rng: np.random.Generator, position: Array) -> tuple[Array, Array]:
         num = len(position)
@@ -73,9 +88,9 @@ class Line(Drift):
 
 
 class Turning(Motion):
-    """A point of a rigid body that turns at a constant rate about a centre at rest.
+    """Move as a point of a rigid body that turns at a constant rate about a centre at rest.
 
-    Memory: centre in [m], angular velocity in [rad/s].
+    The memory holds the centre in [m] and the angular velocity in [rad/s].
     """
 
     size = 6
@@ -90,12 +105,13 @@ class Turning(Motion):
 
 
 class Tumble(Turning):
-    """A point on tumbling debris: the axis may have any direction, so the speed is at most radius times rate."""
+    """Move as a point on tumbling debris. The axis may have any direction, so the speed is at most
+    radius times rate."""
 
     radius = (0.03, 0.1)
-    """From the debris's centre to the target, uniform, in [m]."""
+    """The least and the largest distance from the debris's centre, in [m]; uniform."""
     rate = (0.2, 1.0)
-    """Uniform, in [rad/s]."""
+    """The least and the largest angular speed, in [rad/s]; uniform."""
 
     def begin(self, rng: np.random.Generator, position: Array) -> tuple[Array, Array]:
         num = len(position)
@@ -106,12 +122,12 @@ class Tumble(Turning):
 
 
 class Circle(Turning):
-    """A circle across the straight arm, left or right, begun anywhere on it."""
+    """Move on a horizontal circle to the left or the right, starting anywhere on it."""
 
     radius = (0.03, 0.06)
-    """Uniform, in [m]."""
+    """The least and the largest radius, in [m]; uniform."""
     rate = 2.5
-    """[rad/s]: once around in 2.5 s, the length of a Follow episode."""
+    """In [rad/s]: once around in 2.5 s, the length of a Follow episode."""
 
     def begin(self, rng: np.random.Generator, position: Array) -> tuple[Array, Array]:
         num = len(position)
@@ -122,18 +138,19 @@ class Circle(Turning):
 
 
 class Wander(Motion):
-    """A random acceleration, constant for a while, and a weak damped spring that keeps the target near its start.
+    """Move under a random acceleration that changes from time to time, and a weak damped spring
+    that keeps the target near its start.
 
-    Memory: start in [m], time in [s], then the accelerations in [m/s²], one after the other. They begin anew after
-    the last, which in a Follow episode of the usual length is not reached.
+    The memory holds the start in [m], the time in [s] and the accelerations in [m/s²] in order.
+    After the last one the first follows; a Follow episode of the usual length ends before that.
     """
 
     hold = 0.25
-    """How long an acceleration lasts, in [s]."""
+    """How long each acceleration lasts, in [s]."""
     acceleration = 0.4
-    """Largest, in [m/s²]; uniform from zero."""
+    """The largest acceleration, in [m/s²]; uniform from zero."""
     spring, damper = 2.0, 1.0
-    """In [1/s²] and [1/s]."""
+    """The spring's stiffness in [1/s²] and its damping in [1/s], per unit of mass."""
     draws = 16
     size = 4 + 3 * draws
 
@@ -166,7 +183,7 @@ MOTIONS: dict[str, Motion] = {
 
 
 def make_motion(name: str) -> Motion:
-    """The motion of that name.
+    """Return a motion by its name in :data:`MOTIONS`.
 
     Raises:
         CdcsrError: there is no such motion.
@@ -177,13 +194,13 @@ def make_motion(name: str) -> Motion:
 
 
 def _directions(rng: np.random.Generator, num: int) -> Array:
-    """Unit vectors in all directions alike, shape (num, 3)."""
+    """Draw unit vectors, shape (num, 3), whose directions are uniform on the sphere."""
     direction = rng.normal(size=(num, 3))
     return direction / np.linalg.norm(direction, axis=1, keepdims=True)
 
 
 def _turned(vector: Array, rotation: Array) -> Array:
-    """Vectors turned about `rotation` by its length in radians (Rodrigues), shapes (n, 3)."""
+    """Turn vectors about `rotation` by its length in [rad] (Rodrigues' formula); shapes (n, 3)."""
     angle = np.linalg.norm(rotation, axis=1, keepdims=True)
     axis = rotation / np.maximum(angle, 1e-300)
     along = (axis * vector).sum(axis=1, keepdims=True) * axis

@@ -1,4 +1,7 @@
-"""The contract of a task: what is seen, how it is going, and what that is worth, as functions of State."""
+"""The contract of a task: when its episodes succeed, and what an action is worth.
+
+A task holds no state. What it has to count during an episode is handed to it as :data:`Counts`.
+"""
 
 from __future__ import annotations
 
@@ -16,49 +19,53 @@ from cdcsr.tasks.target_motion import MotionName, make_motion
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
-Memory = dict[str, NDArray[np.int64]]
-"""What a task remembers of the episode of each copy: counts of shape (num,), all zero when it begins."""
+Counts = dict[str, NDArray[np.int64]]
+"""What a task counts during an episode, by name; shape (num,), all zero when the episode begins."""
 Reward = Literal["sparse", "dense"]
 BASE_SHIFT, BASE_TILT = 0.003, 0.05
-"""How far a quiet base may be from its start, in [m] and [rad]: what the paper reports for Fig. 6."""
+"""The largest distance of a quiet base from its start, in [m] and [rad]. The paper reports these
+values for its Fig. 6."""
 
 
 class Verdict(NamedTuple):
-    """How things stand after an action, each of shape (num,)."""
+    """How the episodes stand after an action; each field has the shape (num,)."""
 
     on_target: Mask
     """Whether the tip is where it should be at this moment."""
     success: Mask
     terminated: Mask
+    """Whether success has ended the episode."""
     rewarded: Mask
     """Where the sparse reward is 1."""
 
 
 @dataclass(frozen=True)
 class Task(ABC):
-    """Something to do with a target, in one episode.
+    """Something to do with a target in one episode.
 
-    What is observed is the same in every task: see :mod:`cdcsr.tasks.observation`.
+    What is observed is the same in all tasks: see :mod:`cdcsr.tasks.observation`.
     """
 
     threshold: float = 0.03
     """The tip is on the target within this distance, in [m]."""
     reward_kind: Reward = "sparse"
-    """sparse: eq. (2). dense: minus the distance in [m], plus 1 where the sparse reward is 1."""
+    """sparse: eq. (2) of the BATD3 paper. dense: the negative distance in [m], plus 1 where the
+    sparse reward is 1."""
     motion: MotionName = "rest"
-    """How the target moves: one of :data:`cdcsr.tasks.target_motion.MOTIONS`."""
+    """How the target moves: a name in :data:`cdcsr.tasks.target_motion.MOTIONS`."""
     quiet: bool = False
-    """The tip is on the target only while the base is within `BASE_SHIFT` and `BASE_TILT` of its start."""
+    """The tip is on the target only while the base is within `BASE_SHIFT` and `BASE_TILT` of its
+    start."""
     max_steps: int = 250
-    """Simulation steps after which an episode is truncated."""
+    """An episode is truncated after this many simulation steps."""
     period: float = 0.0025
-    """Time from one action to the next, in [s]; an environment puts its own here."""
+    """The time from one action to the next, in [s]; an environment sets its own."""
 
     kind: ClassVar[str]
     ends: ClassVar[bool] = True
-    """Success ends the episode."""
-    remembers: ClassVar[tuple[str, ...]] = ()
-    """Names of the counts in its memory."""
+    """Whether success ends the episode."""
+    count_names: ClassVar[tuple[str, ...]] = ()
+    """The names of its :data:`Counts`."""
 
     def __post_init__(self) -> None:
         if self.reward_kind not in get_args(Reward):
@@ -69,7 +76,8 @@ class Task(ABC):
 
     @property
     def name(self) -> str:
-        """What tells its episodes from another task's: kind, motion, quietness and threshold."""
+        """The name made of kind, motion, quietness and threshold; two tasks with the same name
+        have the same episodes."""
         parts = [
             self.kind,
             *([self.motion] if self.motion != "rest" else []),
@@ -80,47 +88,45 @@ class Task(ABC):
         name = "-".join(parts)
         return {"reach-quiet": "quiet", "reach-10mm": "precise"}.get(name, name)
 
-    # -- how it is going ------------------------------------------------------------------------------------
-
-    def memory(self, num: int) -> Memory:
-        """Of `num` episodes that begin."""
-        return {name: np.zeros(num, np.int64) for name in self.remembers}
+    def new_counts(self, num: int) -> Counts:
+        """Return the counts of `num` episodes that begin."""
+        return {name: np.zeros(num, np.int64) for name in self.count_names}
 
     def judge(
         self,
         state: State,
         target_velocity: Array,
         distance: Array,
-        memory: Memory,
+        counts: Counts,
         count: bool = True,
     ) -> Verdict:
-        """How things stand; `memory` is brought up to date.
+        """Return how the episodes stand, and update `counts`.
 
         Args:
-            state: of all copies.
+            state: the measured state of num copies.
             target_velocity: shape (num, 3), in [m/s].
             distance: from tip to target, shape (num,), in [m].
-            memory: of all copies.
-            count: an action was taken; without one, `memory` stays as it is.
+            counts: those of the episodes.
+            count: whether an action was taken; if not, `counts` stays as it is.
         """
-        motion = state.tip_velocity - target_velocity
-        on_target = self.on_target(distance, motion, state.base_position, state.base_quaternion)
+        speed = state.tip_velocity - target_velocity
+        on_target = self.on_target(distance, speed, state.base_position, state.base_quaternion)
         if count:
-            self._count(on_target, memory)
-        return self._verdict(on_target, memory)
+            self._count(on_target, counts)
+        return self._verdict(on_target, counts)
 
     def on_target(
         self,
         distance: Array,
-        motion: Array,
+        relative_velocity: Array,
         base_position: Array,
         base_quaternion: Array,
     ) -> Mask:
-        """Whether the tip is where it should be at one moment, shape (n,).
+        """Return whether the tip is where it should be at one moment, shape (n,).
 
         Args:
             distance: from tip to target, shape (n,), in [m].
-            motion: of the tip relative to the target, shape (n, 3), in [m/s].
+            relative_velocity: of the tip relative to the target, shape (n, 3), in [m/s].
             base_position: shape (n, 3), in [m].
             base_quaternion: w-x-y-z, shape (n, 4).
         """
@@ -131,27 +137,28 @@ class Task(ABC):
         return near
 
     @abstractmethod
-    def _count(self, on_target: Mask, memory: Memory) -> None:
-        """Bring the memory up to date after an action."""
+    def _count(self, on_target: Mask, counts: Counts) -> None:
+        """Update the counts after an action."""
 
     @abstractmethod
-    def _verdict(self, on_target: Mask, memory: Memory) -> Verdict: ...
+    def _verdict(self, on_target: Mask, counts: Counts) -> Verdict:
+        """Return how the episodes stand, given the updated counts."""
 
     def reward(self, distance: Array, rewarded: Mask) -> Array:
-        """Shape (num,)."""
+        """Return the rewards, shape (num,), from the distances in [m] and :class:`Verdict`."""
         if self.reward_kind == "sparse":
             return rewarded.astype(np.float64)
         return rewarded - distance
 
-    def report(self, state: State, verdict: Verdict, memory: Memory) -> dict[str, Array]:
-        """What `info` holds besides distance, success and whether on target, by name; each of shape (num,)."""
+    def extra_info(self, state: State, counts: Counts) -> dict[str, Array]:
+        """Return the entries of `info` that only this task has, each of shape (num,)."""
         return {}
 
     def episode_rewards(self, observations: Array, success: bool) -> Array:
-        """Of a recorded episode of T actions, shape (T,); of its observations, shape (T + 1, 23 + C), at that.
+        """Return the rewards of a recorded episode of T actions, shape (T,).
 
         Args:
-            observations: the last is what the last action led to.
+            observations: shape (T + 1, observation size); the last one follows the last action.
             success: whether the last action brought success.
         """
         ended = np.zeros(len(observations) - 1, dtype=bool)
@@ -166,43 +173,46 @@ class Task(ABC):
         base_position: Array | None = None,
         base_quaternion: Array | None = None,
     ) -> int | None:
-        """After how many actions a recorded episode would have succeeded with a target elsewhere, at rest.
+        """Return after how many actions a recorded episode succeeds with another target, at rest.
 
         Args:
             tip_position: before each of T actions and after the last, shape (T + 1, 3), in [m].
             tip_velocity: shape (T + 1, 3), in [m/s].
             target: shape (3,), in [m].
-            base_position: shape (T + 1, 3), in [m]; only for a quiet task.
-            base_quaternion: w-x-y-z, shape (T + 1, 4); only for a quiet task.
+            base_position: shape (T + 1, 3), in [m]; only a quiet task needs it.
+            base_quaternion: w-x-y-z, shape (T + 1, 4); only a quiet task needs it.
 
         Returns:
-            From 1 to T, or None if it would not have succeeded.
+            A number from 1 to T, or None if the episode does not succeed.
+
+        Raises:
+            ValueError: a quiet task lacks the base.
         """
         if base_position is None or base_quaternion is None:
             if self.quiet:
-                raise ValueError(
-                    "A quiet task is judged by the base, too: give its positions and quaternions."
-                )
-            base_position, base_quaternion = (
-                np.zeros((len(tip_position), 3)),
-                np.zeros((len(tip_position), 4)),
-            )
+                raise ValueError("A quiet task needs the base's positions and quaternions.")
+            base_position = np.zeros((len(tip_position), 3))
+            base_quaternion = np.zeros((len(tip_position), 4))
         distance = np.linalg.norm(tip_position - target, axis=1)
-        holds = self.on_target(distance, tip_velocity, base_position, base_quaternion)[1:]
-        return self._first_success(holds)
+        on_target = self.on_target(distance, tip_velocity, base_position, base_quaternion)
+        return self._first_success(on_target[1:])
 
     def _first_success(self, on_target: Mask) -> int | None:
-        """:meth:`first_success` of one episode, from where it was on target after each action, shape (T,)."""
-        memory = self.memory(1)
-        for done, holds in enumerate(on_target, start=1):
-            self._count(np.array([holds]), memory)
-            if self._verdict(np.array([holds]), memory).success[0]:
-                return done
+        """Return after how many actions one episode succeeds.
+
+        Args:
+            on_target: whether the tip was on target after each action, shape (T,).
+        """
+        counts = self.new_counts(1)
+        for action, holds in enumerate(on_target, start=1):
+            self._count(np.array([holds]), counts)
+            if self._verdict(np.array([holds]), counts).success[0]:
+                return action
         return None
 
 
 def base_errors(position: Array, quaternion: Array) -> tuple[Array, Array]:
-    """How far the base is from its start, where the world frame is: distance, in [m], and angle, in [rad].
+    """Return how far the base is from its start: distance in [m] and angle in [rad], shape (n,).
 
     Args:
         position: shape (n, 3), in [m].

@@ -1,6 +1,7 @@
-"""Everything the demonstrator reaches, all around the arm: a map of cells, computed once for a robot and stored.
+"""Maps of a robot's whole workspace: all targets that the demonstrator reaches.
 
-A cell is in the map if its corners are targets that the demonstrator reached in time; `cdcsr workspace` computes it.
+A map is a set of cells of a grid. A cell belongs to it if the demonstrator reaches every corner of
+the cell in time. `cdcsr workspace` computes a map.
 """
 
 from __future__ import annotations
@@ -23,30 +24,30 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Workspace:
-    """Cubes of a grid, all as likely to hold a target."""
+    """Cells of a grid; targets are uniform in their union."""
 
     robot: str
-    """The robot's fingerprint."""
+    """The fingerprint of the robot."""
     origin: Array
-    """(3,) of the cell (0, 0, 0), its corner of least coordinates, world frame, in [m]."""
+    """The corner of least coordinates of the cell (0, 0, 0), shape (3,), world frame, in [m]."""
     edges: Array
-    """(3,) of a cell, in [m]; zero across a map that is flat."""
+    """The edge lengths of a cell, shape (3,), in [m]; zero along the axis across a flat map."""
     cells: NDArray[np.int16]
-    """(n, 3)."""
+    """The index of each cell along the three axes, shape (n, 3)."""
     name: str = "workspace"
 
     def sample(self, rng: np.random.Generator, num: int) -> Array:
-        """`num` targets, shape (num, 3), world frame, in [m]."""
+        """Draw `num` targets, shape (num, 3), world frame, in [m]."""
         cell = self.cells[rng.integers(len(self.cells), size=num)]
         return self.origin + (cell + rng.random((num, 3))) * self.edges
 
     @property
     def centers(self) -> Array:
-        """Of the cells, shape (n, 3), world frame, in [m]."""
+        """The centres of the cells, shape (n, 3), world frame, in [m]."""
         return self.origin + (self.cells + 0.5) * self.edges
 
     def save(self, path: Path) -> None:
-        """Write an .npz file."""
+        """Write the map to an .npz file."""
         file = io.BytesIO()
         np.savez_compressed(
             file,
@@ -59,16 +60,17 @@ class Workspace:
 
 
 def load_workspace(robot: Robot, path: Path | None = None) -> Workspace:
-    """The map of a robot's workspace.
+    """Load the map of a robot's workspace.
 
     Args:
-        robot: whose.
-        path: an .npz file made by `cdcsr workspace`; by default the one that comes with the package.
+        robot: whose workspace it is.
+        path: an .npz file made by `cdcsr workspace`; by default the shipped one.
 
     Raises:
-        CdcsrError: there is none, or it is of another robot.
+        CdcsrError: there is no map, it is damaged, or it is of another robot.
     """
-    remedy = f"make one with `cdcsr workspace {robot.name} --out {robot.name}.npz` and give --space {robot.name}.npz"
+    file = f"{robot.name}.npz"
+    remedy = f"make one with `cdcsr workspace {robot.name} --out {file}` and give --space {file}"
     if path is None:
         shipped = resources.files("models") / "workspaces" / f"{robot.name}.npz"
         if not shipped.is_file():
@@ -86,24 +88,25 @@ def load_workspace(robot: Robot, path: Path | None = None) -> Workspace:
             )
     except (OSError, ValueError, KeyError, EOFError, BadZipFile) as error:
         raise CdcsrError(
-            f"{shown} is no map of a workspace ({type(error).__name__}); {remedy}."
+            f"{shown} is not a map of a workspace ({type(error).__name__}); {remedy}."
         ) from None
     if found.robot != robot.fingerprint:
         raise CdcsrError(
-            f"The map {shown} is of another robot ({found.robot}, not {robot.fingerprint}); {remedy}."
+            f"The map {shown} is of another robot ({found.robot}, not {robot.fingerprint}); "
+            f"{remedy}."
         )
     return found
 
 
 def cells_between(reached: NDArray[np.int64]) -> tuple[NDArray[np.int64], NDArray[np.bool_]]:
-    """The cells whose corners are all among the points of a grid, and which axes they extend along.
+    """Return the cells of a grid whose corners were all reached.
 
     Args:
-        reached: the points, whole numbers of shape (n, 3).
+        reached: indices of the points that were reached, shape (n, 3).
 
     Returns:
-        The corner of least coordinates of each cell, shape (m, 3), and shape (3,): false for an axis along which the
-        points do not differ, across which a cell is flat.
+        The corner of least coordinates of each cell, shape (m, 3), and whether the cells extend
+        along each axis, shape (3,): if all points have the same index along it, the map is flat.
     """
     if len(reached) < 2:
         return reached.reshape(-1, 3)[:0], np.ones(3, dtype=bool)

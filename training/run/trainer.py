@@ -21,7 +21,7 @@ from cdcsr.robot.description import Robot, load_robot
 from cdcsr.simulation.engines import load_backend
 from cdcsr.simulation.randomization import Randomization
 from cdcsr.tasks.catalogue import actions_per_episode, make_task
-from cdcsr.tasks.spaces import beyond, demonstration_space, make_space
+from cdcsr.tasks.spaces import demonstration_space, make_space, wider_targets
 from cdcsr.tasks.symmetry import images
 from cdcsr.tasks.task import Reward
 from controllers import demonstrations
@@ -239,7 +239,7 @@ class Run:
             plants = Randomization(self.robot, learner.num_envs, config.randomize, streams[3])
         env = self._env(learner.num_envs, config.space, randomization=plants)
         if learner.practice > 0:
-            env.space = beyond(env.space, learner.practice, self.robot)
+            env.space = wider_targets(env.space, learner.practice, self.robot)
         collector = Collector(env, exploration_noise(learner), learner.noise_hold, streams[0])
         try:
             replay = MixedReplay(

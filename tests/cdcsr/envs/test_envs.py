@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from typing import Any
+from inspect import signature
+from typing import Any, get_type_hints
 
 import gymnasium
 import numpy as np
@@ -14,10 +15,12 @@ from gymnasium.wrappers.vector import DictInfoToList
 
 from cdcsr.envs.disturbances import Disturbances
 from cdcsr.envs.gym_env import TaskEnv, TaskVectorEnv
+from cdcsr.envs.options import EnvOptions
 from cdcsr.errors import CdcsrError
 from cdcsr.robot.description import load_robot, shipped_robots
 from cdcsr.simulation.contract import Array
 from cdcsr.simulation.engines import backend_names
+from cdcsr.tasks.catalogue import TASKS
 from cdcsr.tasks.observation import BASE_POSITION, CABLE_TRAVEL, DISTANCE, TARGET, observation_size
 
 both = pytest.mark.parametrize("backend", backend_names())
@@ -51,6 +54,24 @@ def test_gymnasium_finds_nothing_wrong(robot: str, backend: str) -> None:
     """But for two recommendations: the paper's action is [-eta, 0], and a free-floating robot has no bounds."""
     env = gymnasium.make("cdcsr/Reach-v0", robot=robot, backend=backend).unwrapped
     check_env(env, skip_render_check=True)
+
+
+def test_every_kind_of_task_is_registered_with_its_first_task() -> None:
+    first = {task.kind: name for name, task in reversed(TASKS.items())}
+    registered = {
+        spec.id: spec.kwargs["task"]
+        for spec in gymnasium.registry.values()
+        if spec.namespace == "cdcsr"
+    }
+    assert registered == {f"cdcsr/{kind.title()}-v0": name for kind, name in first.items()}
+
+
+def test_both_environments_have_the_same_keyword_arguments() -> None:
+    """An editor shows those of the one robot from EnvOptions."""
+    own = {"self", "num_envs", "autoreset_mode"}
+    assert (
+        set(get_type_hints(EnvOptions)) == set(signature(TaskVectorEnv.__init__).parameters) - own
+    )
 
 
 def test_spaces_are_those_of_the_paper() -> None:

@@ -17,7 +17,7 @@ def test_nine_in_ten_is_no_less(counted: int, least: int) -> None:
     """Of 5 actions 4 are 80 %, so all 5 must be on target."""
     task = Follow(settling=0.0)
     for hits in range(counted + 1):
-        memory = task.memory(1)
+        memory = task.new_counts(1)
         success = False
         for k in range(counted):
             on_target = np.array([k < hits])

@@ -10,7 +10,13 @@ from scipy import stats
 
 from cdcsr.errors import CdcsrError
 from cdcsr.robot.description import load_robot
-from cdcsr.tasks.spaces import SPACES, Beyond, beyond, demonstration_targets, make_space
+from cdcsr.tasks.spaces import (
+    SPACES,
+    WiderTargets,
+    demonstration_targets,
+    make_space,
+    wider_targets,
+)
 
 PAPER = load_robot("paper")
 CENTERS = np.array([[0.0, 0.0, 0.0], [10.0, 0.0, 0.0], [0.0, 20.0, 0.0]])
@@ -77,7 +83,7 @@ def test_practice_moves_half_of_the_targets_evenly(
     axes: tuple[bool, bool, bool], dimensions: int
 ) -> None:
     inner = Points(np.array([[0.1, 0.2, 0.3]]))
-    offset = Beyond(inner, 0.4, axes).sample(rng(), NUM) - inner.points
+    offset = WiderTargets(inner, 0.4, axes).sample(rng(), NUM) - inner.points
     distance = np.linalg.norm(offset, axis=1)
     moved = distance > 1e-12
     assert stats.binomtest(int(moved.sum()), NUM, 0.5).pvalue > LEAST_P
@@ -98,12 +104,12 @@ def test_practice_stays_in_the_plane_of_a_flat_workspace() -> None:
     inner, flat = Points(np.zeros((1, 3))), load_robot("planar-single")
     assert flat.workspace.size[1] == 0
     assert np.array_equal(
-        np.ptp(beyond(inner, 0.2, flat).sample(rng(), 100), axis=0) > 0, [True, False, True]
+        np.ptp(wider_targets(inner, 0.2, flat).sample(rng(), 100), axis=0) > 0, [True, False, True]
     )
     nowhere = flat.workspace.model_copy(update={"size": (0.0, 0.0, 0.0)})
     point = flat.model_copy(update={"workspace": nowhere})
     for robot in (PAPER, point):
-        assert (np.ptp(beyond(inner, 0.2, robot).sample(rng(), 100), axis=0) > 0.2).all()
+        assert (np.ptp(wider_targets(inner, 0.2, robot).sample(rng(), 100), axis=0) > 0.2).all()
 
 
 @dataclass(frozen=True)

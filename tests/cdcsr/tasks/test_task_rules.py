@@ -48,7 +48,7 @@ def state(tip: Array, velocity: Array, shift: Array | None = None, tilt: float =
 
 def play(task: Task, tips: Array, speeds: Array, target_velocity: float = 0.0) -> list[Verdict]:
     """Verdicts on one copy whose tip is at (x, 0, 0), moving along x, with the target at the origin."""
-    memory, verdicts = task.memory(1), []
+    memory, verdicts = task.new_counts(1), []
     for x, v in zip(tips, speeds, strict=True):
         now = state(np.array([[x, 0, 0]]), np.array([[v, 0, 0]]))
         distance = tip_distance(now, np.zeros((1, 3)))
@@ -152,7 +152,7 @@ def test_quiet_counts_only_while_the_base_is_near_its_start(
     now = state(np.zeros((1, 3)), np.zeros((1, 3)), np.array(shift), tilt)
     for name in ("reach", "quiet"):
         task = make_task(name)
-        verdict = task.judge(now, np.zeros((1, 3)), np.zeros(1), task.memory(1))
+        verdict = task.judge(now, np.zeros((1, 3)), np.zeros(1), task.new_counts(1))
         assert bool(verdict.success[0]) == (expected or name == "reach")
 
 
@@ -195,14 +195,14 @@ def test_follow_never_ends_by_itself_and_rewards_each_action_on_target() -> None
 def test_follow_reports_the_share_since_first_contact() -> None:
     """Off in the first three of ten actions, then once more: six of seven."""
     task, memory = make_task("follow-circle"), {}
-    memory = task.memory(1)
+    memory = task.new_counts(1)
     report = {}
     for x in (1, 1, 1, 0, 0, 1, 0, 0, 0, 0):
         now = state(
             np.array([[x, 0, 0]], dtype=float), np.zeros((1, 3)), np.array([0.003, 0.004, 0]), 0.2
         )
-        verdict = task.judge(now, np.zeros((1, 3)), np.array([float(x)]), memory)
-        report = task.report(now, verdict, memory)
+        task.judge(now, np.zeros((1, 3)), np.array([float(x)]), memory)
+        report = task.extra_info(now, memory)
     np.testing.assert_allclose(report["share_on_target"], [6 / 7])
     np.testing.assert_allclose(report["base_position_error"], [0.005])
     np.testing.assert_allclose(report["base_attitude_error"], [0.2])
@@ -230,7 +230,7 @@ def test_first_success_is_that_of_playing_the_episode_again(name: str, seed: int
     shift = rng.choice([0.001, 0.01], p=[0.9, 0.1], size=(steps + 1, 1)) * [0, 1, 0]
     quaternion = np.tile([1.0, 0, 0, 0], (steps + 1, 1))
     target = np.array([0.0, 0.0, 0.005])
-    memory, expected, success = task.memory(1), None, False
+    memory, expected, success = task.new_counts(1), None, False
     for i in range(1, steps + 1):
         now = dataclasses.replace(
             state(tip[i : i + 1], speed[i : i + 1]), base_position=shift[i : i + 1]

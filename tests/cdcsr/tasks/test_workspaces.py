@@ -74,7 +74,7 @@ def test_a_map_that_is_missing_or_damaged_names_the_command(tmp_path: Path) -> N
     path = tmp_path / "map.npz"
     two_cells().save(path)
     path.write_bytes(path.read_bytes()[:-40])
-    with pytest.raises(CdcsrError, match="is no map of a workspace"):
+    with pytest.raises(CdcsrError, match="is not a map of a workspace"):
         make_space(str(path), PAPER)
 
 

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from cdcsr.envs.gym_env import TaskVectorEnv
 from cdcsr.robot.description import Robot, load_robot
+from cdcsr.tasks.catalogue import Capture, make_task
 from cdcsr.tasks.observation import observation_size
 from tests.support.tiny import FRAME_SKIP
 from training.config.run_config import Learner
@@ -39,11 +40,10 @@ LEARNER = Learner(
 def test_stored_transitions_are_those_of_the_environment(task: str, threshold: float) -> None:
     torch.manual_seed(0)
     robot = load_robot("paper")
-    env = TaskVectorEnv(
-        NUM, robot, "mujoco", "spatter", "sparse", FRAME_SKIP, task=task, threshold=threshold
-    )
-    if task == "capture":  # easy enough for random actions
-        env.task = replace(cast(Any, env.task), speed=50.0, dwell=0.05)
+    tried = make_task(task, threshold=threshold)
+    if isinstance(tried, Capture):  # easy enough for random actions
+        tried = replace(tried, speed=50.0, dwell=0.05)
+    env = TaskVectorEnv(NUM, robot, "mujoco", "spatter", "sparse", FRAME_SKIP, task=tried)
     actor = Actor(robot, True, (8, 8), "relu")
     collector = Collector(
         env, exploration_noise(LEARNER), LEARNER.noise_hold, np.random.default_rng(0)

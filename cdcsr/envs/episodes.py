@@ -1,0 +1,88 @@
+"""The episodes of many copies: their targets, and what the task has counted."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cdcsr.simulation.contract import State
+from cdcsr.tasks.observation import tip_distance
+from cdcsr.tasks.spaces import Space
+from cdcsr.tasks.target_motion import make_motion
+from cdcsr.tasks.task import Task, Verdict
+
+Array = NDArray[np.float64]
+
+
+class Episodes:
+    """The episode of each copy: where its target is, how it moves, and how far the task has come.
+
+    Args:
+        num: how many copies.
+        task: what is judged, and how targets move.
+        space: where targets are drawn.
+
+    Attributes:
+        space: where targets are drawn.
+        targets: shape (num, 3), in [m].
+        target_velocity: shape (num, 3), in [m/s].
+        actions_taken: shape (num,).
+        counts: what the task counts.
+    """
+
+    def __init__(self, num: int, task: Task, space: Space) -> None:
+        self.space, self._task = space, task
+        self._motion, self._moving = make_motion(task.motion), task.motion != "rest"
+        self._motion_memory = np.zeros((num, self._motion.size))
+        self.targets, self.target_velocity = np.zeros((2, num, 3))
+        self.actions_taken = np.zeros(num, dtype=np.int64)
+        self.counts = task.new_counts(num)
+
+    def begin(
+        self, ids: NDArray[np.int64], rng: np.random.Generator, targets: Array | None = None
+    ) -> None:
+        """Begin new episodes of the copies `ids`.
+
+        Args:
+            ids: which copies.
+            rng: draws the targets, then how they move.
+            targets: shape (num, 3), in [m]; where the targets begin, instead of drawing that.
+        """
+        self.targets[ids] = self.space.sample(rng, len(ids)) if targets is None else targets[ids]
+        if self._moving:
+            begun = self._motion.begin(rng, self.targets[ids])
+            self.target_velocity[ids], self._motion_memory[ids] = begun
+        self.actions_taken[ids] = 0
+        for count in self.counts.values():
+            count[ids] = 0
+
+    def advance(self, steps: int, time_step: float) -> None:
+        """Count an action, and move the targets on by `steps` steps of `time_step` seconds."""
+        if self._moving:
+            for _ in range(steps):
+                self._motion.advance(
+                    self.targets, self.target_velocity, self._motion_memory, time_step
+                )
+        self.actions_taken += 1
+
+    def judge(self, state: State, count: bool = True) -> tuple[Array, Verdict]:
+        """Return the distances from tip to target, shape (num,), in [m], and the task's verdict.
+
+        Args:
+            state: the measured state of all copies.
+            count: whether an action was taken.
+        """
+        distance = tip_distance(state, self.targets)
+        verdict = self._task.judge(state, self.target_velocity, distance, self.counts, count)
+        return distance, verdict
+
+    def arrays(self) -> dict[str, NDArray[np.generic]]:
+        """Return all that determines how the episodes go on, by name; these are the arrays
+        themselves, whose first axis is the copy."""
+        return {
+            "targets": self.targets,
+            "target_velocity": self.target_velocity,
+            "motion": self._motion_memory,
+            "actions_taken": self.actions_taken,
+            **{f"task.{name}": count for name, count in self.counts.items()},
+        }

@@ -1,0 +1,74 @@
+"""The keyword arguments of the environments, and the options of their resets."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import TypedDict
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cdcsr.envs.disturbances import Disturbances
+from cdcsr.errors import CdcsrError, unknown_choice
+from cdcsr.robot.description import Robot
+from cdcsr.simulation.randomization import Randomization
+from cdcsr.tasks.target_motion import MotionName
+from cdcsr.tasks.task import Reward, Task
+
+Array = NDArray[np.float64]
+
+
+class EnvOptions(TypedDict, total=False):
+    """The keyword arguments that :class:`TaskEnv` and :class:`TaskVectorEnv` share."""
+
+    robot: Robot | str
+    """A robot, the path of a description, or the name of a shipped one; by default "paper"."""
+    backend: str
+    """The engine; by default "mujoco"."""
+    space: str
+    """The operation space in which targets are drawn; by default "anchor"."""
+    reward: Reward | None
+    """"sparse" (eq. 2) or "dense"; by default the task's."""
+    frame_skip: int
+    """How many simulation steps each action is held for; by default 1."""
+    max_steps: int | None
+    """An episode is truncated after this many simulation steps; by default the task's."""
+    threshold: float | None
+    """The tip is on the target within this distance, in [m]; by default the task's."""
+    centers: Array | None
+    """The targets of the demonstrations, shape (n, 3), in [m]; Floating and Spatter surround
+    them. By default those of the paper's ten."""
+    disturbances: Disturbances | None
+    """What acts between policy and robot; by default nothing."""
+    randomization: Randomization | None
+    """Draws a new plant for every episode; by default all plants are as described."""
+    task: str | Task
+    """A task, or a name in :data:`cdcsr.tasks.catalogue.TASKS`; by default "reach"."""
+    motion: MotionName | None
+    """How targets move; by default the task's."""
+    quiet: bool | None
+    """Success counts only while the base is near its start; by default the task's."""
+
+
+def read_reset_options(
+    options: Mapping[str, object] | None, **shapes: tuple[int, ...]
+) -> dict[str, Array]:
+    """Return the options of a reset as arrays.
+
+    Args:
+        options: what the user gave.
+        shapes: the shape of each option that there is.
+
+    Raises:
+        CdcsrError: an option is unknown or has the wrong shape.
+    """
+    arrays: dict[str, Array] = {}
+    for name, value in (options or {}).items():
+        if name not in shapes:
+            raise CdcsrError(unknown_choice("reset option", name, shapes))
+        arrays[name] = np.asarray(value, dtype=np.float64)
+        if arrays[name].shape != shapes[name]:
+            raise CdcsrError(
+                f"The reset option {name!r} has the shape {shapes[name]}, not {arrays[name].shape}."
+            )
+    return arrays
