@@ -28,7 +28,7 @@ class EnvOptions(TypedDict, total=False):
     space: str
     """The operation space in which targets are drawn; by default "anchor"."""
     reward: Reward | None
-    """"sparse" (eq. 2) or "dense"; by default the task's."""
+    """The reward, "sparse" (eq. 2) or "dense"; by default the task's."""
     frame_skip: int
     """How many simulation steps each action is held for; by default 1."""
     max_steps: int | None
