@@ -9,6 +9,8 @@ import pytest
 import torch
 from torch import Tensor, nn
 
+from tests.support.stacked import stacked_ensemble
+from training.algorithms.reference_update import Layer, outputs, parameters
 from training.networks.compiled_ensemble import Ensemble
 
 HIDDEN = (8, 12, 6)
@@ -24,19 +26,9 @@ def ensemble(request: pytest.FixtureRequest) -> Ensemble:
     return ensemble
 
 
-def reference(ensemble: Ensemble, member: int) -> nn.Sequential:
-    """Build the same network from PyTorch's own layers."""
-    modules: list[nn.Module] = []
-    for layer in ensemble.layers(ensemble.rows.detach()[member]):
-        linear = nn.Linear(len(layer.weight) - 1, layer.weight.shape[1]).double()
-        linear.load_state_dict({"weight": layer.weight[:-1].T, "bias": layer.weight[-1]})
-        modules.append(linear)
-        if layer.gain is not None and layer.shift is not None:
-            norm = nn.LayerNorm(len(layer.gain)).double()
-            norm.load_state_dict({"weight": layer.gain, "bias": layer.shift})
-            modules.append(norm)
-        modules.append(nn.ReLU())
-    return nn.Sequential(*modules[:-1])
+def reference(ensemble: Ensemble) -> list[Layer]:
+    """Copy the ensemble as plain PyTorch."""
+    return stacked_ensemble(ensemble, ensemble.rows)
 
 
 def rows(count: int = ROWS) -> Tensor:
@@ -47,9 +39,7 @@ def rows(count: int = ROWS) -> Tensor:
 def test_outputs_and_gradients_of_inputs(ensemble: Ensemble, members: list[int] | None) -> None:
     inputs = rows().requires_grad_()
     values = ensemble(inputs, members)
-    expected = torch.stack(
-        [reference(ensemble, i)(inputs)[:, 0] for i in members or range(MEMBERS)]
-    )
+    expected = outputs(reference(ensemble), inputs)[members or slice(None), :, 0]
     torch.testing.assert_close(values, expected)
     weight = torch.randn_like(values)
     (gradient,) = torch.autograd.grad((values * weight).sum(), inputs)
@@ -64,34 +54,21 @@ def test_gradients_of_inputs_by_finite_differences(ensemble: Ensemble) -> None:
 def test_gradients_of_parameters(ensemble: Ensemble) -> None:
     for _ in range(2):  # the second time, over the results of the first
         inputs, target = rows(), torch.randn(ROWS, dtype=torch.float64)
-        values = ensemble.regress(inputs, target)
+        found = ensemble.regress(inputs, target)
+        layers = reference(ensemble)
+        expected = outputs(layers, inputs)[..., 0]
+        (expected - target).square().mean(1).sum().backward()
+        torch.testing.assert_close(found, expected.detach())
         assert ensemble.rows.grad is not None
-        for i in range(MEMBERS):
-            network = reference(ensemble, i)
-            output = network(inputs)[:, 0]
-            nn.functional.mse_loss(output, target).backward()
-            torch.testing.assert_close(values[i], output.detach())
-            got = ensemble.layers(ensemble.rows.grad[i])
-            linears = [module for module in network if isinstance(module, nn.Linear)]
-            norms = [module for module in network if isinstance(module, nn.LayerNorm)]
-            for layer, linear in zip(got, linears, strict=True):
-                assert linear.weight.grad is not None
-                assert linear.bias.grad is not None
-                torch.testing.assert_close(
-                    layer.weight, torch.vstack([linear.weight.grad.T, linear.bias.grad])
-                )
-            for layer, norm in zip(got, norms, strict=False):
-                torch.testing.assert_close(layer.gain, norm.weight.grad)
-                torch.testing.assert_close(layer.shift, norm.bias.grad)
+        gradients = stacked_ensemble(ensemble, ensemble.rows.grad)
+        for gradient, wanted in zip(parameters(gradients), parameters(layers), strict=True):
+            torch.testing.assert_close(gradient.detach(), wanted.grad)
 
 
 def test_a_hidden_layer_of_one_unit() -> None:
-    ensemble = Ensemble(INPUTS, (4, 1), 1, layer_norm=False).double()
-    inputs = rows()
-    torch.testing.assert_close(
-        ensemble.regress(inputs, torch.zeros(ROWS).double())[0],
-        reference(ensemble, 0)(inputs)[:, 0],
-    )
+    ensemble, inputs = Ensemble(INPUTS, (4, 1), 1, layer_norm=False).double(), rows()
+    found = ensemble.regress(inputs, torch.zeros(ROWS).double())
+    torch.testing.assert_close(found, outputs(reference(ensemble), inputs)[..., 0].detach())
 
 
 def test_padding_stays_zero() -> None:
