@@ -162,3 +162,10 @@ def test_noise_is_held_and_grows_along_the_environments(small_robot: Robot) -> N
         assert set(np.diff(changes)) == {learner.noise_hold}
         assert (changes[0] + i) % learner.noise_hold == 0
     assert noise.std(axis=(0, 2)) == pytest.approx([0, 0.05, 0.1, 0.15, 0.2], rel=0.1)
+
+
+def test_noise_is_the_same_everywhere_or_climbs_a_ladder() -> None:
+    learner = Learner(num_envs=5, exploration_noise=0.2)
+    np.testing.assert_allclose(exploration_noise(learner), 0.2)
+    ladder = exploration_noise(replace(learner, noise_ladder=True))
+    np.testing.assert_allclose(ladder, [0, 0.1, 0.2, 0.3, 0.4])
