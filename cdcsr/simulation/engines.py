@@ -36,15 +36,18 @@ def engine_title(name: str) -> str:
 
 
 def chosen_backends(name: str) -> list[str]:
-    """The engines a user means by a name, or by "all".
+    """Return the engines that a user means by a name, or by "all".
 
     Raises:
-        CdcsrError: one is not installed; said before the work, not in the midst of it.
+        CdcsrError: no engine of that name is installed, or one of them cannot be loaded.
     """
-    names = backend_names() if name == "all" else [name]
-    for each in names:
+    installed = backend_names()
+    if name not in [*installed, "all"]:
+        raise CdcsrError(unknown_choice("backend", name, [*installed, "all"]))
+    chosen = installed if name == "all" else [name]
+    for each in chosen:  # an error comes before the work and not in the midst of it
         load_backend(each)
-    return names
+    return chosen
 
 
 def make_simulation(robot: Robot, backend: str, num: int = 1) -> Simulation:

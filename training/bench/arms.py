@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-import time
 from dataclasses import dataclass
 
 import numpy as np
-import pybullet
 
-from backends.pybullet.client import connect, load_robot_body
 from cdcsr.robot.description import Robot
+from cdcsr.simulation.engines import backend_names, engine_title
 from training.bench.peer_process import MissingPeer, Peer
 from training.bench.scaling import step_seconds
 
@@ -52,7 +50,7 @@ class Arm:
 
 
 def arms(robot: Robot, python: str, steps: int = 400, rounds: int = 5) -> list[Arm]:
-    """One copy of our robot in each engine, a plain PyBullet arm, and gym-softrobot's arms.
+    """One copy of our robot in each engine, and gym-softrobot's arms.
 
     Args:
         robot: the description.
@@ -62,12 +60,10 @@ def arms(robot: Robot, python: str, steps: int = 400, rounds: int = 5) -> list[A
     """
     what = f"{robot.num_hinges} hinges and {robot.num_cables} cables on a free base, servo set-points commanded"
     rows = []
-    for engine, title in (("mujoco", "ours, MuJoCo"), ("pybullet", "ours, PyBullet")):
+    for engine in backend_names():
         seconds = step_seconds(robot, engine, 1, steps, rounds, read=True)
+        title = f"ours, {engine_title(engine)}"
         rows.append(Arm(title, what, 1 / seconds, robot.time_step / seconds))
-    seconds = _torque_arm(robot, steps, rounds)
-    what = f"the same {robot.num_hinges} hinges on a free base without cables, joint torques commanded, tip read"
-    rows.append(Arm("plain PyBullet", what, 1 / seconds, robot.time_step / seconds))
     for name, what in SOFTROBOT_ARMS.items():
         count, step = _STEPS_A_COMMAND[name]
         try:
@@ -78,28 +74,3 @@ def arms(robot: Robot, python: str, steps: int = 400, rounds: int = 5) -> list[A
         else:
             rows.append(Arm(name, what, 1 / seconds, step / seconds))
     return rows
-
-
-def _torque_arm(robot: Robot, steps: int, rounds: int) -> float:
-    """Median time of a step of the robot's links under joint torques, and of reading the tip, in [s]."""
-    client = connect(robot)
-    body = load_robot_body(robot, client)
-    count = pybullet.getNumJoints(body, physicsClientId=client)
-    hinges = range(robot.num_cables, count)
-    for hinge in hinges:  # without its springs the arm would spin ever faster
-        pybullet.changeDynamics(body, hinge, jointDamping=1.0, physicsClientId=client)
-    torques = np.random.default_rng(0).uniform(-0.1, 0.1, (steps, len(hinges))).tolist()
-    times = []
-    for _ in range(rounds):
-        for joint in range(count):
-            pybullet.resetJointState(body, joint, 0.0, 0.0, physicsClientId=client)
-        start = time.process_time()
-        for torque in torques:
-            pybullet.setJointMotorControlArray(
-                body, hinges, pybullet.TORQUE_CONTROL, forces=torque, physicsClientId=client
-            )
-            pybullet.stepSimulation(physicsClientId=client)
-            pybullet.getLinkState(body, count - 1, computeLinkVelocity=1, physicsClientId=client)
-        times.append(time.process_time() - start)
-    pybullet.disconnect(physicsClientId=client)
-    return float(np.median(times)) / steps

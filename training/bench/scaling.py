@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import subprocess
 import sys
 import time
@@ -9,7 +10,6 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from backends.pybullet.simulation import PybulletSimulation
 from cdcsr.robot.description import Robot
 from cdcsr.simulation.engines import make_simulation
 
@@ -82,49 +82,40 @@ def growth(robot: Robot, backend: str) -> Growth:
     )
 
 
-def worker_gain(robot: Robot, copies: int = 32, steps: int = 40, rounds: int = 5) -> float:
-    """Steps per second of PyBullet with two worker processes over one, taking turns."""
-    simulations = [PybulletSimulation(robot, copies, workers=workers) for workers in (1, 2)]
-    commands = -np.random.default_rng(0).random((steps, copies, robot.num_cables))
-    times: list[list[float]] = []
-    for _ in range(rounds + 1):
-        times.append([])
-        for simulation in simulations:
-            simulation.reset()
-            start = time.perf_counter()
-            for command in commands:
-                simulation.step(command)
-            times[-1].append(time.perf_counter() - start)
-    for simulation in simulations:
-        simulation.close()
-    one, two = np.median(times[1:], axis=0)  # the first round compiles
-    return float(one / two)
+def memory_per_copy(robot: Robot, backend: str) -> float:
+    """Return the growth of a process's peak memory with each further copy, in [MB].
 
-
-def memory_per_copy(robot: Robot, backend: str, copies: int) -> float:
-    """Growth of a process's peak memory for each further copy, in [MB]; each count in a process of its own.
-
-    `copies` must be enough to rise above the peak of starting up. Linux counts what a process had in memory before it
-    became another program into its `ru_maxrss`, so there the kernel's other record is read.
+    The number of copies doubles until the peak lies well above that of a process with one copy.
     """
-    alone = ", workers=0" if backend == "pybullet" else ""  # memory of workers would not be seen
+    one, copies = _peak_memory(robot, backend, 1), 64
+    while (peak := _peak_memory(robot, backend, 1 + copies)) < 1.5 * one:
+        copies *= 2
+    return (peak - one) / copies
+
+
+def _peak_memory(robot: Robot, backend: str, copies: int) -> float:
+    """Return the peak memory in [MB] of a process of its own that makes a step of some copies.
+
+    One thread: memory of worker processes would not be seen. On Linux, `ru_maxrss` counts what the
+    process had in memory before it became another program, so the kernel's other record is read.
+    """
     code = (
         "import pathlib, resource, sys, numpy; "
-        "from cdcsr.robot.description import parse_robot; from cdcsr.simulation.contract import load_backend; "
-        f"s = load_backend(sys.argv[1])(parse_robot(sys.stdin.read()), int(sys.argv[2]){alone}); "
+        "from cdcsr.robot.description import parse_robot; "
+        "from cdcsr.simulation.engines import make_simulation; "
+        "s = make_simulation(parse_robot(sys.stdin.read()), sys.argv[1], int(sys.argv[2])); "
         "s.step(numpy.zeros((s.num, s.robot.num_cables))); s.close(); "
         "own = pathlib.Path('/proc/self/status'); "
-        "print(next(line.split()[1] for line in own.read_text().splitlines() if line.startswith('VmHWM')) "
-        "if own.exists() else resource.getrusage(resource.RUSAGE_SELF).ru_maxrss)"
+        "lines = own.read_text().splitlines() if own.exists() else []; "
+        "peaks = [line.split()[1] for line in lines if line.startswith('VmHWM')]; "
+        "print(*peaks or [resource.getrusage(resource.RUSAGE_SELF).ru_maxrss])"
     )
-    peaks = []
-    for count in (1, 1 + copies):
-        done = subprocess.run(
-            [sys.executable, "-c", code, backend, str(count)],
-            input=robot.to_toml(),
-            capture_output=True,
-            text=True,
-            check=True,
-        )
-        peaks.append(int(done.stdout))
-    return (peaks[1] - peaks[0]) / copies / 1024
+    done = subprocess.run(
+        [sys.executable, "-c", code, backend, str(copies)],
+        input=robot.to_toml(),
+        capture_output=True,
+        text=True,
+        check=True,
+        env=os.environ | {"OMP_NUM_THREADS": "1"},
+    )
+    return int(done.stdout) / 1024

@@ -3,27 +3,24 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import asdict
+from functools import partial
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any
 
-from backends.mujoco.model_choices import cheapest, model_choices
-from backends.mujoco.speed import vector_env_speed
-from backends.pybullet.speed import step_cost
-from cdcsr.errors import CdcsrError
+from cdcsr.errors import CdcsrError, unknown_choice
 from cdcsr.files import write_json
 from cdcsr.robot.description import Robot, load_robot
-from cdcsr.simulation.engines import backend_names
+from cdcsr.simulation.benchmarks import Section, engine_sections
+from cdcsr.simulation.engines import backend_names, engine_title
 from training.bench.arms import arms
 from training.bench.growth_plot import growth_picture
-from training.bench.scaling import growth, memory_per_copy, worker_gain
+from training.bench.scaling import growth, memory_per_copy
 from training.bench.trainer_speed import OWN, side_by_side, update_speed
 from training.measure.trajectories import demonstrator_commands
 from training.plots.style import algorithm_title
 
-Section = Literal["environment", "model", "growth", "arms", "trainer"]
-SECTIONS: tuple[Section, ...] = ("environment", "model", "growth", "arms", "trainer")
 _EPISODES, _SEED = 8, 500
 
 
@@ -40,74 +37,49 @@ class Benchmarks:
         self._peers, self._plot = peers or sys.executable, plot
         self._robot: Robot = load_robot("paper")
 
-    def run(self, sections: tuple[Section, ...], json: Path | None = None) -> None:
-        """Measure these; write the numbers to `json` as well."""
-        measures: dict[Section, Callable[[], None]] = {
-            "environment": self._environment,
-            "model": self._model,
-            "growth": self._growth,
-            "arms": self._arms,
-            "trainer": self._trainer,
-        }
-        for section in sections or SECTIONS:
+    def run(self, sections: Sequence[str], json: Path | None = None) -> None:
+        """Measure some sections, or all if none is named; write the numbers to `json` as well.
+
+        Raises:
+            CdcsrError: there is no section of that name.
+        """
+        measures = self.sections()
+        for section in sections:
+            if section not in measures:
+                raise CdcsrError(unknown_choice("section", section, measures))
+        for section in sections or measures:
             print(f"{section}:", flush=True)
             measures[section]()
         if json is not None:
             write_json(json, self.results)
+
+    def sections(self) -> dict[str, Callable[[], None]]:
+        """Return what measures each section: those that each engine brings, then the common ones."""
+        own = {name: partial(self._engine, load) for name, load in engine_sections().items()}
+        return own | {
+            "memory": self._memory,
+            "growth": self._growth,
+            "arms": self._arms,
+            "trainer": self._trainer,
+        }
 
     def _row(self, name: str, value: float | None, what: str, floor: str = "") -> None:
         number = "     -" if value is None else f"{value:6.2f}"
         print(f"{number}  {what}" + (f" [{floor}]" if floor else ""), flush=True)
         self.results[name] = value
 
-    def _environment(self) -> None:
-        for copies in (32, 256):
-            speed = vector_env_speed(self._robot, copies)
-            self._row(
-                f"vector_env_{copies}",
-                speed["ratio"],
-                f"MuJoCo vector environment, {copies} copies: steps/s over bare mujoco.batch",
-                f"bare mujoco.batch: {speed['bare_steps_per_second']:,.0f} steps/s",
-            )
-            self.results[f"vector_env_{copies}_steps_per_second"] = speed["steps_per_second"]
-            self.results[f"vector_env_{copies}_bare_steps_per_second"] = speed[
-                "bare_steps_per_second"
-            ]
-        cost = step_cost(self._robot)
-        floor = f"bare stepSimulation: {cost['bare_us']:.0f} us"
-        self._row(
-            "pybullet_step",
-            cost["ratio"],
-            "PyBullet: cost of a step over bare stepSimulation",
-            floor,
-        )
-        self.results |= {"pybullet_step_us": cost["step_us"], "pybullet_bare_us": cost["bare_us"]}
-        self._row(
-            "workers",
-            worker_gain(self._robot),
-            "PyBullet, 32 copies: steps/s with two workers over one",
-        )
-        for backend, copies in (("mujoco", 2048), ("pybullet", 64)):
-            what = f"{backend}: MB of peak memory for each further copy"
-            self._row(f"memory_{backend}", memory_per_copy(self._robot, backend, copies), what)
-
-    def _model(self) -> None:
+    def _engine(self, load: Callable[[], Section]) -> None:
         commands = demonstrator_commands(self._robot, "mujoco", _EPISODES, _SEED)
-        choices = model_choices(self._robot, commands.values)
-        best = cheapest(choices)
-        what = (
-            f"MuJoCo model: cost of a step over that of the cheapest faithful variant ({best.name})"
-        )
-        self._row("model", 1 / best.ratio, what, f"ours: {choices[0].microseconds:.1f} us")
-        print("        us/step   to ours   tip moves by")
-        for choice in choices:
-            far = "not faithful" if not choice.faithful else ""
-            print(
-                f"        {choice.microseconds:7.1f}  {choice.ratio:8.2f}  {choice.distance:10.1e} mm  "
-                f"{choice.name:40s}{far}".rstrip(),
-                flush=True,
-            )
-        self.results["model_choices"] = [asdict(choice) for choice in choices]
+        for measured in load()(self._robot, commands.values):
+            self._row(measured.name, measured.value, measured.what, measured.floor)
+            for line in measured.lines:
+                print(f"        {line}", flush=True)
+            self.results |= measured.details
+
+    def _memory(self) -> None:
+        for backend in backend_names():
+            what = f"{engine_title(backend)}: MB of peak memory for each further copy"
+            self._row(f"memory_{backend}", memory_per_copy(self._robot, backend), what)
 
     def _growth(self) -> None:
         measured = {}

@@ -3,11 +3,10 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Literal
 
 
 def bench(
-    sections: tuple[Literal["environment", "model", "growth", "arms", "trainer"], ...] = (),
+    sections: tuple[str, ...] = (),
     /,
     *,
     json: Path | None = None,
@@ -19,7 +18,7 @@ def bench(
     Needs the development dependencies (stable-baselines3), and a system with the `resource` module for memory.
 
     Args:
-        sections: which measurements; by default all.
+        sections: memory, growth, arms, trainer, or one that an engine brings; by default all.
         json: also write the numbers to this file.
         plot: also draw how the cost of a step grows with the robot, into this folder.
         peers: an interpreter that has gym-softrobot and sbx-rl; by default this one, if it has.

@@ -1,4 +1,4 @@
-"""Sub-commands about models. What is heavy is imported where it is used; see :mod:`cdcsr.cli`."""
+"""`cdcsr build-model`: write a robot's model files."""
 
 from __future__ import annotations
 
@@ -10,9 +10,10 @@ def build_model(
 ) -> None:
     """Write a robot as stock model files that the engines load on their own.
 
-    MJCF for MuJoCo with cables as spatial tendons; URDF for PyBullet, with the cables, which URDF has no words
-    for, in cables.json beside it. Also meshes, a GLB scene, and the description. Prints what the robot weighs
-    and how far apart the engines' mass matrices are.
+    For MuJoCo this is MJCF, with the cables as spatial tendons; for PyBullet it is URDF, and beside
+    it cables.json, as URDF cannot describe cables. An engine that brings no exporter is named. The
+    folder also gets meshes, a GLB scene, and the description. The command prints what the robot
+    weighs and how far apart the engines' mass matrices are.
 
     Args:
         robot: a shipped robot, or a path ending in .toml.
@@ -21,18 +22,22 @@ def build_model(
         force: replace the folder if it is there already.
         json: also write the summary to this file.
     """
-    from backends.export.model_files import check_backend, write_model
+    from backends.export.model_files import exporter_names, write_model
     from backends.export.summary import show, summarize
     from cdcsr.files import new_folder, write_json
     from cdcsr.robot.description import load_robot
+    from cdcsr.simulation.engines import chosen_backends, engine_title
 
     description = load_robot(robot)
-    backends = check_backend(backend)
+    backends = chosen_backends(backend)
     with new_folder(out, "models of a robot", force) as folder:
         write_model(description, folder, backends)
         summary = summarize(description, backends)
         names = sorted(path.name for path in folder.iterdir())
     print(show(summary))
     print(f"written to {out}: {', '.join(names)}")
+    for name in backends:
+        if name not in exporter_names():
+            print(f"{engine_title(name)} has no model files of its own")
     if json is not None:
         write_json(json, summary)
