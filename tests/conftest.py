@@ -2,11 +2,45 @@
 
 from __future__ import annotations
 
+import sys
+from pathlib import Path
+
 import pytest
 
 from cdcsr.robot.description import Robot, load_robot
+
+_ENGINE = """
+from backends.mujoco.simulation import MujocoSimulation
+class ThirdSimulation(MujocoSimulation):
+    engine, title = "third", "Third"
+"""
+_MEASUREMENT = """
+from cdcsr.simulation.benchmarks import Measurement
+def measure(robot, commands):
+    yield Measurement("third_copies", commands.shape[0], "episodes given", lines=("a line",))
+"""
+_ENTRY_POINTS = """
+[cdcsr.backends]
+third = third_engine:ThirdSimulation
+[cdcsr.benchmarks]
+third-own = third_engine:measure
+"""
 
 
 @pytest.fixture
 def paper() -> Robot:
     return load_robot("paper")
+
+
+@pytest.fixture
+def third_engine(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Install an engine of three lines as a package would be, for this process and its children."""
+    site = tmp_path / "site"
+    about = site / "third_engine-1.0.dist-info"
+    about.mkdir(parents=True)
+    (about / "METADATA").write_text("Name: third_engine\nVersion: 1\n")
+    (about / "entry_points.txt").write_text(_ENTRY_POINTS)
+    (site / "third_engine.py").write_text(_ENGINE + _MEASUREMENT)
+    monkeypatch.syspath_prepend(site)
+    monkeypatch.setenv("PYTHONPATH", str(site))
+    monkeypatch.delitem(sys.modules, "third_engine", raising=False)

@@ -18,7 +18,7 @@ from cdcsr.simulation.benchmarks import Measurement
 from cdcsr.simulation.contract import Array
 
 
-def environment(robot: Robot, commands: Array) -> Iterator[Measurement]:
+def environment(robot: Robot, _: Array) -> Iterator[Measurement]:
     """Compare the vector environment with bare `mujoco.batch`, for 32 and for 256 copies."""
     for copies in (32, 256):
         speed, bare = vector_env_speed(robot, copies)

@@ -17,7 +17,7 @@ from cdcsr.simulation.contract import Array
 _ROUNDS, _EACH = 60, 10
 
 
-def step(robot: Robot, commands: Array) -> Iterator[Measurement]:
+def step(robot: Robot, _: Array) -> Iterator[Measurement]:
     """Compare a step with PyBullet's bare one, with an arm without cables, and among workers."""
     cost, bare = step_cost(robot)
     yield Measurement(

@@ -38,6 +38,7 @@ class Killed(BaseException):
     """Stands for whatever ends the process."""
 
 
+@pytest.mark.usefixtures("third_engine")
 def test_demo_goes_on_where_it_was_stopped(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(video, "FRAME_PERIOD", 0.3)
     monkeypatch.setattr(demo, "Train", partial(Train, evaluate_episodes=2))
@@ -107,10 +108,10 @@ def check_contents(out: Path, summary: dict[str, Any]) -> None:
         "cables.json",
     }
     cells = json.loads((out / "transfer.json").read_text())["cells"]
-    assert [cell["controller"].partition("-")[0] for cell in cells] == ["jacobian"] * 2 + [
+    assert [cell["controller"].partition("-")[0] for cell in cells] == ["jacobian"] * 3 + [
         "bc"
-    ] * 2 + ["batd3"] * 2
-    assert [cell["backend"] for cell in cells] == ["mujoco", "pybullet"] * 3
+    ] * 3 + ["batd3"] * 3
+    assert [cell["backend"] for cell in cells] == ["mujoco", "pybullet", "third"] * 3
     for cell in cells:
         np.testing.assert_array_equal(cell["targets"], cells[0]["targets"])
         assert len(cell["success"]) == 2
