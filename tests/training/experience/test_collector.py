@@ -3,22 +3,24 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import Any, cast
+from itertools import chain
+from typing import Any, NamedTuple
 
 import numpy as np
 import pytest
 import torch
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from cdcsr.envs.gym_env import TaskVectorEnv
 from cdcsr.robot.description import Robot, load_robot
 from cdcsr.tasks.catalogue import Capture, make_task
-from cdcsr.tasks.observation import observation_size
 from tests.support.tiny import FRAME_SKIP
 from training.config.run_config import Learner
 from training.experience.collector import Collector, exploration_noise
 from training.experience.mixed_replay import MixedReplay
 from training.networks.actor import Actor
+
+Array, Mask = NDArray[np.float64], NDArray[np.bool_]
 
 NUM, STEPS, GAMMA = 5, 4, 0.9
 LEARNER = Learner(
@@ -43,13 +45,13 @@ def test_stored_transitions_are_those_of_the_environment(task: str, threshold: f
     tried = make_task(task, threshold=threshold)
     if isinstance(tried, Capture):  # easy enough for random actions
         tried = replace(tried, speed=50.0, dwell=0.05)
-    env = TaskVectorEnv(NUM, robot, "mujoco", "spatter", "sparse", FRAME_SKIP, task=tried)
+    env = _LoggedEnv(NUM, robot, "mujoco", "spatter", "sparse", FRAME_SKIP, task=tried)
     actor = Actor(robot, True, (8, 8), "relu")
     collector = Collector(
         env, exploration_noise(LEARNER), LEARNER.noise_hold, np.random.default_rng(0)
     )
     replay = MixedReplay(robot, env.task, LEARNER)
-    log, outcomes = _logged(env), []
+    outcomes = []
     collector.start(3)
     for _ in range(230):
         for episode in collector.step(actor):
@@ -57,21 +59,21 @@ def test_stored_transitions_are_those_of_the_environment(task: str, threshold: f
             outcomes.append(episode.success)
     if task == "reach":  # some episodes succeed, some reach the time limit
         assert {True, False} == set(outcomes)
-    paid = [one[2] for episodes in log for episode in episodes for one in episode]
+    paid = [one.reward for episodes in env.log for episode in episodes for one in episode]
     assert 0 < np.count_nonzero(paid) < len(paid)
 
     expected = {}
     pay = 1 if env.task.ends else 1 - GAMMA
-    for episode in (episode for episodes in log for episode in episodes[:-1]):
-        rewards = [pay * one[2] for one in episode]
-        for t, (observation, command, *_) in enumerate(episode):
+    for episode in (episode for episodes in env.log for episode in episodes[:-1]):
+        rewards = [pay * one.reward for one in episode]
+        for t, one in enumerate(episode):
             end = min(t + STEPS, len(episode))
-            stops = end == len(episode) and episode[-1][4]
-            expected[np.float32(observation).tobytes()] = (
-                command,
+            stops = end == len(episode) and episode[-1].terminated
+            expected[np.float32(one.observation).tobytes()] = (
+                one.command,
                 sum(GAMMA ** (k - t) * rewards[k] for k in range(t, end)),
                 0 if stops else GAMMA ** (end - t),  # time limits are bootstrapped
-                episode[end - 1][3],
+                episode[end - 1].following,
                 sum(GAMMA ** (k - t) * rewards[k] for k in range(t, len(episode))),
             )
     rows, found = replay.buffers["replay"], 0
@@ -90,78 +92,59 @@ def test_stored_transitions_are_those_of_the_environment(task: str, threshold: f
     assert found > 250
 
 
-def _logged(env: TaskVectorEnv) -> list[list[list[tuple[Any, ...]]]]:
-    """Log steps by environment and episode: (observation, command, reward, next, terminated)."""
-    log: list[list[list[tuple[Any, ...]]]] = [[[]] for _ in range(env.num_envs)]
-    step, reset = env.step, env.reset
-    seen: dict[str, NDArray[Any]] = {}
+class _Step(NamedTuple):
+    """One action of one environment."""
 
-    def logged_reset(**options: Any) -> Any:
-        answer = reset(**options)
-        seen["now"] = answer[0].copy()
-        return answer
+    observation: Array
+    command: Array
+    reward: float
+    following: Array
+    terminated: bool
 
-    def logged_step(commands: NDArray[Any]) -> Any:
-        answer = observation, reward, terminated, truncated, info = step(commands)
-        for i, episodes in enumerate(log):
+
+class _LoggedEnv(TaskVectorEnv):
+    """Environments that log every step by environment and episode."""
+
+    log: list[list[list[_Step]]]
+
+    def reset(self, **options: Any) -> tuple[Array, dict[str, Any]]:
+        self._seen, info = super().reset(**options)
+        self.log = [[[]] for _ in range(self.num_envs)]
+        return self._seen.copy(), info
+
+    def step(self, actions: ArrayLike) -> tuple[Array, Array, Mask, Mask, dict[str, Any]]:
+        answer = observation, reward, terminated, truncated, info = super().step(actions)
+        for i, episodes in enumerate(self.log):
             ended = terminated[i] or truncated[i]
             after = info["final_obs"][i] if ended else observation[i]
-            episodes[-1].append(
-                (seen["now"][i].copy(), commands[i].copy(), reward[i], after.copy(), terminated[i])
-            )
+            command = np.array(actions)[i]
+            done = _Step(self._seen[i], command, reward[i], after.copy(), terminated[i])
+            episodes[-1].append(done)
             if ended:
                 episodes.append([])
-        seen["now"] = observation.copy()
+        self._seen = observation.copy()
         return answer
 
-    env.step, env.reset = logged_step, logged_reset  # type: ignore[method-assign]
-    return log
 
-
-class _Still:
-    """An actor whose action is zero, and an environment whose observation is zero."""
-
-    def __init__(self, robot: Robot) -> None:
-        self.num_envs, self.max_actions, self.robot = NUM, 1000, robot
-        self.actions_taken = np.zeros(NUM, dtype=int)
-        self.commands: list[NDArray[Any]] = []
-
-    def act(self, observation: torch.Tensor) -> torch.Tensor:
-        return torch.zeros(len(observation), self.robot.num_cables)
-
-    def to_command(self, action: torch.Tensor) -> torch.Tensor:
-        return action
-
-    def reset(self, seed: int) -> Any:
-        return self._observation(), {"seed": seed}
-
-    def step(self, command: NDArray[Any]) -> Any:
-        self.commands.append(command.copy())
-        self.actions_taken += 1
-        nothing = np.zeros(NUM, dtype=bool)
-        return self._observation(), np.zeros(NUM), nothing, nothing, {}
-
-    def _observation(self) -> NDArray[Any]:
-        return np.zeros((NUM, observation_size(self.robot)))
-
-
-def test_noise_is_held_and_grows_along_the_environments(small_robot: Robot) -> None:
-    still, learner = _Still(small_robot), replace(LEARNER, exploration_noise=0.1)
-    collector = Collector(
-        cast(TaskVectorEnv, still),
-        exploration_noise(learner),
-        learner.noise_hold,
-        np.random.default_rng(0),
-    )
+def test_noise_is_held_and_grows_along_the_environments(paper: Robot) -> None:
+    actor = Actor(paper, False, (4,), "relu")
+    for parameter in actor.parameters():
+        parameter.data.zero_()
+    env = _LoggedEnv(NUM, paper)
+    scale = exploration_noise(replace(LEARNER, exploration_noise=0.1))
+    collector = Collector(env, scale, LEARNER.noise_hold, np.random.default_rng(0))
     collector.start(0)
-    for _ in range(900):
-        assert not list(collector.step(cast(Actor, still)))
-    noise = np.array(still.commands)  # (actions, environments, cables)
+    for _ in range(300):
+        list(collector.step(actor))
+    env.close()
+    # Shape (environments, actions, cables).
+    commands = np.array([[one.command for one in chain(*episodes)] for episodes in env.log])
+    noise = actor.from_command(torch.from_numpy(commands)).numpy()
     for i in range(1, NUM):
-        changes = np.flatnonzero((np.diff(noise[:, i], axis=0) != 0).any(axis=1)) + 1
-        assert set(np.diff(changes)) == {learner.noise_hold}
-        assert (changes[0] + i) % learner.noise_hold == 0
-    assert noise.std(axis=(0, 2)) == pytest.approx([0, 0.05, 0.1, 0.15, 0.2], rel=0.1)
+        changes = np.flatnonzero((np.diff(noise[i], axis=0) != 0).any(axis=1)) + 1
+        assert set(np.diff(changes)) == {LEARNER.noise_hold}
+        assert (changes[0] + i) % LEARNER.noise_hold == 0
+    assert noise.std(axis=(1, 2)) == pytest.approx([0, 0.05, 0.1, 0.15, 0.2], rel=0.1, abs=1e-6)
 
 
 def test_noise_is_the_same_everywhere_or_climbs_a_ladder() -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -95,18 +96,23 @@ def _clone(robot: Robot) -> BehaviourCloning:
     return BehaviourCloning(robot, _LEARNER, torch.Generator().manual_seed(0))
 
 
+class _NearPlane(TaskVectorEnv):
+    """Two environments whose first targets are near a mirror plane."""
+
+    def reset(self, **options: Any) -> tuple[NDArray[np.float64], dict[str, Any]]:
+        targets = np.array([[0.01, 0.004, 2.5], [0.3, 0.02, 2.4]])
+        return super().reset(**options | {"options": {"targets": targets}})
+
+
 def test_collected_actions_are_the_actors_at_the_canonical_image() -> None:
     """Each row is mirrored by itself: these targets drift across a mirror plane."""
     robot = load_robot("paper")
     torch.manual_seed(0)
     actor = Actor(robot, True, (16,), "relu", mirror_symmetry=True)
     learner = dataclasses.replace(_LEARNER, capacity=2000)
-    env = TaskVectorEnv(2, robot, "mujoco", "anchor", frame_skip=5, task="capture-drift")
+    env = _NearPlane(2, robot, frame_skip=5, task="capture-drift")
     collector = Collector(env, 0.0, 1, np.random.default_rng(0))
     collector.start(seed=0)
-    collector._observation, _ = env.reset(
-        seed=0, options={"targets": np.array([[0.01, 0.004, 2.5], [0.3, 0.02, 2.4]])}
-    )
     replay, crossed = MixedReplay(robot, env.task, learner), 0
     for _ in range(100):
         for episode in collector.step(actor):
