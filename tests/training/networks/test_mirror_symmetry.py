@@ -99,9 +99,11 @@ def _clone(robot: Robot) -> BehaviourCloning:
 class _NearPlane(TaskVectorEnv):
     """Two environments whose first targets are near a mirror plane."""
 
-    def reset(self, **options: Any) -> tuple[NDArray[np.float64], dict[str, Any]]:
+    def reset(
+        self, *, seed: int | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[NDArray[np.float64], dict[str, Any]]:
         targets = np.array([[0.01, 0.004, 2.5], [0.3, 0.02, 2.4]])
-        return super().reset(**options | {"options": {"targets": targets}})
+        return super().reset(seed=seed, options={"targets": targets})
 
 
 def test_collected_actions_are_the_actors_at_the_canonical_image() -> None:
