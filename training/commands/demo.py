@@ -1,4 +1,4 @@
-"""`cdcsr demo`."""
+"""`cdcsr demo`: the whole path, from a robot's description to a transfer table."""
 
 from __future__ import annotations
 
@@ -6,15 +6,15 @@ from pathlib import Path
 
 
 def demo(out: Path, minutes: float = 8.0, json: Path | None = None) -> None:
-    """Build, demonstrate, train, and measure the transfer between engines: the whole path, in one folder.
+    """Build, demonstrate, train, and measure the transfer between engines, all in one folder.
 
-    Builds the paper's robot for both engines, records ten demonstrations, trains BC and BATD3 in MuJoCo, measures
-    both and the demonstrator on the same held-out targets in both engines, and draws a learning curve, the targets
-    and a video. Stopped at any point, the same command goes on from there.
+    The demo builds the paper's robot for every engine, records ten demonstrations, trains BC and
+    BATD3, measures both and the demonstrator on the same held-out targets in every engine, and
+    draws a learning curve, the targets and a video. If it is stopped, the same command resumes it.
 
     Args:
-        out: the folder of everything.
-        minutes: of training, at most. With more, a demo whose training ran out of them goes on.
+        out: the folder for everything.
+        minutes: longest training time. A larger number trains a demo further that ran out of it.
         json: also write the results, each episode included, to this file.
     """
     from cdcsr.errors import CdcsrError

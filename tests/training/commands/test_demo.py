@@ -1,24 +1,20 @@
-"""The main job: leaves everything it promises, does each stage once, and goes on where it was stopped."""
+"""The demo writes everything it promises, does each stage once, and can be resumed."""
 
 from __future__ import annotations
 
 import json
 from dataclasses import replace
-from functools import partial
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
 
 from cdcsr.cli import main
 from cdcsr.errors import CdcsrError
-from training.commands import demo_stages as demo
-from training.commands.demo_stages import DEMO_FOLDER, Amounts, Stages, run_demo
-from training.config.run_config import PRESETS, Train
+from training.commands import demo_stages
+from training.commands.demo_stages import DEMO_FOLDER, Amounts, Stage, carry_out, run_demo
+from training.config.run_config import PRESETS
 from training.plots import video
-
-FILES = ["a.txt"]
 
 
 def tiny(minutes: float) -> Amounts:
@@ -31,66 +27,60 @@ def tiny(minutes: float) -> Amounts:
         batch_size=32,
         hidden=(32, 32),
     )
-    return Amounts(minutes, episodes=2, filmed=1, learner=learner)
+    return Amounts(minutes, episodes=2, validation_episodes=2, filmed=1, learner=learner)
 
 
 class Killed(BaseException):
     """Stands for whatever ends the process."""
 
 
+def done_stages(capsys: pytest.CaptureFixture[str]) -> list[str]:
+    """The stages whose work was done since the last call."""
+    lines = capsys.readouterr().out.splitlines()
+    titles = [line.removeprefix("==> ") for line in lines if line.startswith("==> ")]
+    return [title for title in titles if not title.endswith(": done before")]
+
+
 @pytest.mark.usefixtures("third_engine")
-def test_demo_goes_on_where_it_was_stopped(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_demo_is_resumed_where_it_was_stopped(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
     monkeypatch.setattr(video, "FRAME_PERIOD", 0.3)
-    monkeypatch.setattr(demo, "Train", partial(Train, evaluate_episodes=2))
-    out, calls = tmp_path / "demo", []
-    parts = (
-        "build_model",
-        "demonstrate",
-        "train",
-        "transfer",
-        "draw_learning_curve",
-        "draw_targets",
-        "policy_video",
-    )
-    killed_in = "transfer"
+    out = tmp_path / "demo"
 
-    def watched(name: str, part: Any) -> Any:
-        def call(*args: Any, **options: Any) -> Any:
-            calls.append(name)
-            if name == killed_in:
-                raise Killed
-            return part(*args, **options)
+    def killed(*_: object, **__: object) -> None:
+        raise Killed
 
-        return call
-
-    for name in parts:
-        monkeypatch.setattr(demo, name, watched(name, getattr(demo, name)))
-    # Training runs out of its minutes after one update, and the process ends in the stage after it.
-    with pytest.raises(Killed):
-        run_demo(out, tiny(minutes=1e-6))
-    assert calls == list(parts[:4])
+    # Training runs out of its minutes after one update; the process ends in the stage after it.
+    with monkeypatch.context() as patch:
+        patch.setattr(demo_stages, "transfer", killed)
+        with pytest.raises(Killed):
+            run_demo(out, tiny(minutes=1e-6))
+    before = [
+        "models of the robot",
+        "ten demonstrations in MuJoCo",
+        "BC and BATD3 in MuJoCo",
+    ]
+    after = ["the same held-out targets in every engine", "figures", "video"]
+    assert done_stages(capsys) == [*before, after[0]]
     assert not (out / "runs/batd3/summary.json").exists()
 
-    killed_in, calls[:] = "", []
     first = run_demo(out, tiny(minutes=1e-6))
-    assert calls == list(parts[3:])
-    assert first["training"]["update"] == 1
-    check_contents(out, first)
-
-    calls.clear()
+    assert done_stages(capsys) == after
+    check_contents(out, first, update=1)
     assert run_demo(out, tiny(minutes=1e-6)) == first
-    assert calls == []
+    assert done_stages(capsys) == []
 
-    # With more minutes training goes on, and all that follows from the policy is made anew.
+    # With more minutes training goes on, and all that follows from the policy is done again.
     more = run_demo(out, tiny(minutes=5))
-    assert calls == list(parts[2:])
-    assert more["training"]["update"] == 20
+    assert done_stages(capsys) == [before[-1], *after]
+    check_contents(out, more, update=20)
     assert (out / "runs/batd3/summary.json").exists()
 
 
-def check_contents(out: Path, summary: dict[str, Any]) -> None:
-    """One folder with everything, and nothing beside."""
-    assert sorted(path.name for path in out.iterdir()) == [
+def check_contents(out: Path, summary: dict[str, object], update: int) -> None:
+    """Check that one folder holds everything, and nothing else."""
+    assert sorted(path.name for path in out.iterdir() if not path.name.startswith(".")) == [
         "demo.json",
         "demonstrations",
         "learning_curve.png",
@@ -102,40 +92,41 @@ def check_contents(out: Path, summary: dict[str, Any]) -> None:
         "transfer.json",
         "transfer.md",
     ]
-    assert {path.name for path in (out / "model").iterdir()} >= {
-        "paper.xml",
-        "paper.urdf",
-        "cables.json",
-    }
+    models = {path.name for path in (out / "model").iterdir()}
+    assert models >= {"paper.xml", "paper.urdf", "cables.json"}
+    assert json.loads(json.dumps(summary)) == summary
+    assert isinstance(summary["training"], dict)
+    assert summary["training"]["update"] == update
     cells = json.loads((out / "transfer.json").read_text())["cells"]
-    assert [cell["controller"].partition("-")[0] for cell in cells] == ["jacobian"] * 3 + [
-        "bc"
-    ] * 3 + ["batd3"] * 3
-    assert [cell["backend"] for cell in cells] == ["mujoco", "pybullet", "third"] * 3
+    found = [(cell["controller"].partition("-")[0], cell["backend"]) for cell in cells]
+    assert found == [
+        (name, engine)
+        for name in ("jacobian", "bc", "batd3")
+        for engine in ("mujoco", "pybullet", "third")
+    ]
+    table = (out / "transfer.md").read_text()
     for cell in cells:
         np.testing.assert_array_equal(cell["targets"], cells[0]["targets"])
         assert len(cell["success"]) == 2
-    table = (out / "transfer.md").read_text()
-    assert all(cell["controller"] in table for cell in cells)
-    assert json.loads(json.dumps(summary)) == summary
+        assert cell["controller"] in table
 
 
 def test_a_stage_is_done_once_for_the_same_inputs(tmp_path: Path) -> None:
     calls: list[int] = []
+    folder = tmp_path / "demo"
 
-    def work() -> None:
-        calls.append(1)
-        (tmp_path / "demo" / "a.txt").touch()
+    def do(x: int) -> int:
+        def work() -> None:
+            calls.append(x)
+            (folder / "a.txt").touch()
 
-    with DEMO_FOLDER.claim(tmp_path / "demo"):
-        Stages(tmp_path / "demo").run("a", {"x": 1}, FILES, work)
-    Stages(tmp_path / "demo").run("a", {"x": 1}, FILES, work)
-    assert len(calls) == 1
-    Stages(tmp_path / "demo").run("a", {"x": 2}, FILES, work)
-    assert len(calls) == 2
-    (tmp_path / "demo" / "a.txt").unlink()
-    Stages(tmp_path / "demo").run("a", {"x": 2}, FILES, work)
-    assert len(calls) == 3
+        carry_out(folder, [Stage("a", {"x": x}, ("a.txt",), work)])
+        return len(calls)
+
+    with DEMO_FOLDER.claim(folder):
+        assert [do(1), do(1), do(2)] == [1, 1, 2]
+        (folder / "a.txt").unlink()
+        assert do(2) == 3
 
 
 def test_a_folder_of_something_else_is_refused(tmp_path: Path) -> None:
