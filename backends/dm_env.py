@@ -1,15 +1,16 @@
-"""The Reach task for dm_control's users: a `dm_env` environment over any engine.
+"""Every task as a `dm_env` environment over any engine, for users of dm_control.
 
-On MuJoCo the environment also has the model and the data that `dm_control.viewer` and the pixel wrappers ask for.
+With MuJoCo the environment also has the model and the data that `dm_control.viewer` and the pixel
+wrappers ask for.
 """
 
-# dm_control is not annotated, and a method of its base classes without a body reads as one that returns None.
+# dm_control is not annotated: a method of its base classes without a body seems to return None.
 # pyright: reportIncompatibleMethodOverride=false
 
 from __future__ import annotations
 
 from collections import OrderedDict
-from typing import Any
+from collections.abc import Callable
 
 import numpy as np
 from dm_control.mujoco import engine, wrapper
@@ -19,17 +20,19 @@ from numpy.typing import NDArray
 
 from backends.mujoco.model import build_spec
 from backends.mujoco.simulation import MujocoSimulation
+from cdcsr.envs.episodes import Episodes
 from cdcsr.errors import Diverged
 from cdcsr.robot.description import Robot, load_robot
 from cdcsr.simulation.contract import Array, Simulation
 from cdcsr.simulation.engines import make_simulation
-from cdcsr.tasks.catalogue import Reach, actions_per_episode
+from cdcsr.tasks.catalogue import actions_per_episode, make_task
 from cdcsr.tasks.observation import parts_of, tip_distance
 from cdcsr.tasks.spaces import Space, make_space
-from cdcsr.tasks.task import Reward
+from cdcsr.tasks.target_motion import MotionName
+from cdcsr.tasks.task import Reward, Task
 
-_TARGET = (0.2, 0.7, 0.3, 0.4)
-"""Colour of the ball in which a reach succeeds."""
+_TARGET_COLOR = (0.2, 0.7, 0.3, 0.4)
+"""The colour of the ball around the target whose radius is the task's threshold."""
 
 
 class SimulationPhysics(control.Physics):
@@ -37,7 +40,7 @@ class SimulationPhysics(control.Physics):
 
     Attributes:
         simulation: the engine, with one copy.
-        measured: its state now; arrays of shape (1, ...).
+        measured: the copy's state now; arrays of shape (1, ...).
     """
 
     def __init__(self, simulation: Simulation) -> None:
@@ -50,6 +53,11 @@ class SimulationPhysics(control.Physics):
         self._command[0] = control
 
     def step(self, n_sub_steps: int = 1) -> None:
+        """Advance the robot by some time steps.
+
+        Raises:
+            PhysicsError: the simulation diverged.
+        """
         try:
             self.simulation.step(self._command, n_sub_steps)
         except Diverged as error:
@@ -57,20 +65,24 @@ class SimulationPhysics(control.Physics):
         self.measured = self.simulation.state()
 
     def reset(self) -> None:
+        """Put the robot back to the start; dm_control calls this before an episode is set up."""
         self.simulation.reset()
         self._command[:] = 0
 
     def after_reset(self) -> None:
+        """Measure the state; dm_control calls this once an episode is set up."""
         self.measured = self.simulation.state()
 
     def time(self) -> float:
+        """Return the simulated time since the start of the episode, in [s]."""
         return float(self.measured.time[0])
 
     def timestep(self) -> float:
+        """Return the time step of the simulation, in [s]."""
         return self.simulation.robot.time_step
 
     def show_target(self, target: Array, radius: float) -> None:
-        """Mark a target, shape (3,), in [m], where there is a picture to mark it in."""
+        """Mark the target, shape (3,), in [m], if there is a picture to mark it in."""
 
     def close(self) -> None:
         """Release what the engine holds."""
@@ -78,29 +90,30 @@ class SimulationPhysics(control.Physics):
 
 
 class MujocoPhysics(SimulationPhysics):
-    """A robot in MuJoCo, with the parts of `dm_control.mujoco.Physics` that viewers and wrappers use.
+    """A robot in MuJoCo, with what viewers and wrappers use of `dm_control.mujoco.Physics`.
 
-    `data` is current after every step, and what is written to it (a pose while resetting, a force of the
-    viewer's mouse) acts on the robot.
+    `data` is current after every step. What is written to it acts on the robot: a pose while
+    resetting, or a force of the viewer's mouse.
     """
 
     def __init__(self, simulation: MujocoSimulation) -> None:
         spec = build_spec(simulation.robot)
-        spec.worldbody.add_site(name="target", rgba=_TARGET)
+        spec.worldbody.add_site(name="target", rgba=_TARGET_COLOR)
         self._view = engine.Physics.from_model(wrapper.MjModel(spec.compile()))
         self._target = self.model.name2id("target", "site")
-        # The compiler marks a site at its body's origin as not worth transforming; this one will move.
+        # The compiler marks a site at its body's origin as one that never moves; this one does.
         self.model.site_sameframe[self._target] = 0
         self._engine = simulation
         super().__init__(simulation)
 
     @property
     def model(self) -> wrapper.MjModel:
-        """The robot and the target."""
+        """The model of the robot and the target."""
         return self._view.model
 
     @property
     def data(self) -> wrapper.MjData:
+        """The data that belong to `model`."""
         return self._view.data
 
     @property
@@ -108,9 +121,10 @@ class MujocoPhysics(SimulationPhysics):
         """`model` and `data`, indexed by name."""
         return self._view.named
 
-    def render(self, *args: Any, **kwargs: Any) -> NDArray[Any]:
-        """See `dm_control.mujoco.Physics.render`."""
-        return self._view.render(*args, **kwargs)
+    @property
+    def render(self) -> Callable[..., NDArray[np.generic]]:
+        """The method `dm_control.mujoco.Physics.render` of this robot."""
+        return self._view.render
 
     def step(self, n_sub_steps: int = 1) -> None:
         self._engine.read_from(self.data.ptr)
@@ -127,7 +141,7 @@ class MujocoPhysics(SimulationPhysics):
         self._refresh()
 
     def show_target(self, target: Array, radius: float) -> None:
-        self.model.site_pos[self._target] = target
+        self.model.site_pos[self._target] = self.data.site_xpos[self._target] = target
         self.model.site_size[self._target] = radius
 
     def close(self) -> None:
@@ -135,42 +149,51 @@ class MujocoPhysics(SimulationPhysics):
         super().close()
 
     def _refresh(self) -> None:
-        """Make `data`, and all that follows from the state in it, current."""
+        """Update `data`, and all quantities in it that follow from the state."""
         self._engine.write_to(self.data.ptr)
         self._view.forward()
 
 
-class ReachTask(control.Task):
-    """:class:`cdcsr.tasks.catalogue.Reach` on targets from a space.
+class TargetTask(control.Task):
+    """A task of :mod:`cdcsr.tasks`, judged by its own rules.
 
     Args:
-        task: what is observed and rewarded.
-        space: where targets are drawn from.
+        task: what is rewarded, how targets move, and when an episode ends.
+        space: where targets are drawn.
         robot: gives the limits of the commands.
-        max_actions: after which an episode is over.
-        seed: of the targets; they are the ones `cdcsr/Reach-v0` draws first with that seed.
+        frame_skip: how many simulation steps each action is held for.
+        seed: seeds the targets and their motions; `cdcsr/Reach-v0` draws the same with that seed.
 
-    Attributes:
-        target: of this episode, shape (3,), in [m].
+    Raises:
+        CdcsrError: an impossible frame_skip.
     """
 
-    def __init__(
-        self, task: Reach, space: Space, robot: Robot, max_actions: int, seed: int
-    ) -> None:
-        self.target = np.zeros(3)
-        self._task, self._space, self._max_actions = task, space, max_actions
+    def __init__(self, task: Task, space: Space, robot: Robot, frame_skip: int, seed: int) -> None:
+        self._task, self._frame_skip = task, frame_skip
+        self._max_actions = actions_per_episode(task.max_steps, frame_skip)
+        self._episode = Episodes(1, task, space)
         self._eta = np.array([servo.eta for servo in robot.servos])
         self._rng = np.random.default_rng(seed)
-        self._actions_taken = 0
+        self._reward, self._terminated = 0.0, False
+
+    @property
+    def target(self) -> Array:
+        """Where the target is now, shape (3,), in [m]."""
+        return self._episode.targets[0]
 
     def initialize_episode(self, physics: SimulationPhysics) -> None:
-        self.target = self._space.sample(self._rng, 1)[0]
-        self._actions_taken = 0
+        self._episode.begin(np.arange(1), self._rng)
         physics.show_target(self.target, self._task.threshold)
 
     def before_step(self, action: Array, physics: SimulationPhysics) -> None:
         physics.set_control(np.clip(action, -self._eta, 0))
-        self._actions_taken += 1
+
+    def after_step(self, physics: SimulationPhysics) -> None:
+        self._episode.advance(self._frame_skip, physics.timestep())
+        physics.show_target(self.target, self._task.threshold)
+        distance, verdict = self._episode.judge(physics.measured)
+        self._reward = float(self._task.reward(distance, verdict.rewarded)[0])
+        self._terminated = bool(verdict.terminated[0])
 
     def action_spec(self, physics: SimulationPhysics) -> specs.BoundedArray:
         return specs.BoundedArray(
@@ -178,71 +201,82 @@ class ReachTask(control.Task):
         )
 
     def get_observation(self, physics: SimulationPhysics) -> OrderedDict[str, Array]:
-        """Eq. (1) by parts; joined in this order they are the observation of `cdcsr/Reach-v0`."""
-        parts = parts_of(physics.measured, self.target[None], self._distance(physics))
+        """Return eq. (1) by parts; joined in this order they are Gymnasium's observation."""
+        targets = self._episode.targets
+        parts = parts_of(physics.measured, targets, tip_distance(physics.measured, targets))
         return OrderedDict((name, part[0].copy()) for name, part in parts.items())
 
     def get_reward(self, physics: SimulationPhysics) -> float:
-        distance = self._distance(physics)
-        return float(self._task.reward(distance, distance <= self._task.threshold)[0])
+        return self._reward
 
     def get_termination(self, physics: SimulationPhysics) -> float | None:
-        """The discount that ends an episode: 0 after success, 1 when time is up."""
-        if self._distance(physics)[0] <= self._task.threshold:
+        """Return the discount that ends an episode: 0 after success, 1 when time is up."""
+        if self._terminated:
             return 0.0
-        return 1.0 if self._actions_taken >= self._max_actions else None
-
-    def _distance(self, physics: SimulationPhysics) -> Array:
-        return tip_distance(physics.measured, self.target[None])
+        return 1.0 if self._episode.actions_taken[0] >= self._max_actions else None
 
 
-class ReachEnvironment(control.Environment):
-    """What :func:`make_dm_environment` makes."""
+class TaskEnvironment(control.Environment):
+    """What :func:`make_dm_environment` returns."""
 
     def close(self) -> None:
+        """Release what the engine holds."""
         self.physics.close()
 
 
 def make_dm_environment(
+    task: str | Task = "reach",
     robot: Robot | str = "paper",
     backend: str = "mujoco",
     space: str = "anchor",
     seed: int = 0,
-    reward: Reward = "sparse",
+    reward: Reward | None = None,
     frame_skip: int = 1,
-    max_steps: int = Reach.max_steps,
-    threshold: float = 0.03,
+    max_steps: int | None = None,
+    threshold: float | None = None,
     centers: Array | None = None,
+    motion: MotionName | None = None,
+    quiet: bool | None = None,
     flat_observation: bool = False,
-) -> control.Environment:
-    """The Reach task as a `dm_env` environment; with MuJoCo, `dm_control.viewer.launch` opens it.
+) -> TaskEnvironment:
+    """Make a task into a `dm_env` environment; with MuJoCo, `dm_control.viewer.launch` opens it.
 
-    An episode ends with discount 0 on success and with discount 1 when time is up. Actions beyond the bounds
-    are clipped.
+    An episode ends with discount 0 on success, if the task ends then, and with discount 1 when time
+    is up. Actions are clipped to their bounds.
 
     Args:
-        robot: a Robot, a path, or the name of a shipped one.
+        task: a task, or a name in :data:`cdcsr.tasks.catalogue.TASKS`.
+        robot: a robot, the path of a description, or the name of a shipped one.
         backend: the engine.
-        space: the operation space targets are drawn from.
-        seed: of the targets.
-        reward: "sparse" (eq. 2) or "dense".
-        frame_skip: simulation steps each action is held for.
-        max_steps: simulation steps after which time is up.
-        threshold: success within this distance, in [m].
-        centers: the demonstrations' targets that Floating and Spatter surround, shape (n, 3), in [m].
-        flat_observation: one array under the key "observations" instead of one for each part of eq. (1).
+        space: the operation space in which targets are drawn.
+        seed: seeds the targets and their motions.
+        reward: "sparse" (eq. 2) or "dense"; by default the task's.
+        frame_skip: how many simulation steps each action is held for.
+        max_steps: time is up after this many simulation steps; by default the task's.
+        threshold: the tip is on the target within this distance, in [m]; by default the task's.
+        centers: the targets of the demonstrations, shape (n, 3), in [m]; Floating and Spatter
+            surround them. By default those of the paper's ten.
+        motion: how targets move; by default the task's.
+        quiet: success counts only while the base is near its start; by default the task's.
+        flat_observation: observe one array, "observations", instead of the parts of eq. (1).
 
     Raises:
-        CdcsrError: an unknown robot, engine, space or reward, or an impossible frame_skip.
+        CdcsrError: an unknown name, or an impossible number.
     """
     robot = robot if isinstance(robot, Robot) else load_robot(robot)
-    max_actions = actions_per_episode(max_steps, frame_skip)
-    task = ReachTask(
-        Reach(threshold, reward), make_space(space, robot, centers), robot, max_actions, seed
+    task = make_task(
+        task,
+        reward_kind=reward,
+        max_steps=max_steps,
+        threshold=threshold,
+        motion=motion,
+        quiet=quiet,
+        period=robot.time_step * frame_skip,
     )
+    judged = TargetTask(task, make_space(space, robot, centers), robot, frame_skip, seed)
     simulation = make_simulation(robot, backend)
     is_mujoco = isinstance(simulation, MujocoSimulation)
     physics = MujocoPhysics(simulation) if is_mujoco else SimulationPhysics(simulation)
-    return ReachEnvironment(
-        physics, task, n_sub_steps=frame_skip, flat_observation=flat_observation
+    return TaskEnvironment(
+        physics, judged, n_sub_steps=frame_skip, flat_observation=flat_observation
     )
