@@ -1,8 +1,8 @@
-"""The `cdcsr` command. It knows no sub-command: each is an entry point in the group `cdcsr.commands`.
+"""The `cdcsr` command. Each sub-command is an entry point in the group `cdcsr.commands`.
 
-A sub-command is a plain function. Its typed signature is its command line (positional-only parameters are
-positional), the first line of its docstring is its line in `cdcsr --help`. Modules that hold commands import
-what is heavy inside the functions, so that listing them stays quick.
+A sub-command is a function. Its typed signature is its command line (positional-only parameters are
+positional arguments), and the first line of its docstring is its line in `cdcsr --help`. Modules
+that hold commands import heavy packages only inside functions, so that this list appears quickly.
 """
 
 from __future__ import annotations
@@ -17,15 +17,16 @@ from typing import Any, ParamSpec
 from cdcsr.errors import CdcsrError, unknown_choice
 
 _GROUP = "cdcsr.commands"
-_REPORTS = "json", "csv"
-"""Options that name a file which a command writes when its work is done; `run` looks before it begins if it can."""
-
+_FILE_OPTIONS = "json", "csv"
+"""Options that name a file which a command writes at its end; `run` checks them at the start."""
+_BROKEN_PIPE = 141
+"""The exit code of a program whose output nobody reads any longer, as a shell reports it."""
 
 _P = ParamSpec("_P")
 
 
-def _may_go_unread(function: Callable[_P, int]) -> Callable[_P, int]:
-    """End quietly where whoever reads the output has seen enough, as `| head` has."""
+def _end_with_reader(function: Callable[_P, int]) -> Callable[_P, int]:
+    """Make a function end quietly when the reader of its output has closed it, as `head` does."""
 
     @functools.wraps(function)
     def call(*args: _P.args, **kwargs: _P.kwargs) -> int:
@@ -36,17 +37,16 @@ def _may_go_unread(function: Callable[_P, int]) -> Callable[_P, int]:
             try:
                 print(flush=True)
             except BrokenPipeError:
-                os.dup2(
-                    os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno()
-                )  # Python flushes once more as it ends
-                return 141
-            raise  # some other pipe
+                # Python flushes once more as it ends.
+                os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+                return _BROKEN_PIPE
+            raise  # another pipe broke
         return code
 
     return call
 
 
-@_may_go_unread
+@_end_with_reader
 def main(argv: Sequence[str] | None = None) -> int:
     """Run one sub-command.
 
@@ -54,7 +54,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         argv: the arguments after `cdcsr`; by default those of this process.
 
     Returns:
-        The exit code: 0, or 1 if a check did not hold, or 2 for an error of the user's, or 130 if interrupted, or
+        The exit code: 0; 1 if a check did not hold; 2 for an error of the user; 130 if interrupted;
         141 if nobody reads the output any longer.
     """
     arguments = list(sys.argv[1:] if argv is None else argv)
@@ -73,19 +73,20 @@ def main(argv: Sequence[str] | None = None) -> int:
         return _fail(unknown_choice("command", name, commands))
     try:
         function = commands[name].load()
-    # The module may be anyone's: whatever keeps it from loading is shown as the reason.
+    # Other packages may add commands, so any error may keep one from loading.
     except Exception as error:
         return _fail(f"The command {name!r} cannot be loaded: {_reason(error)}.")
     return run(function, f"cdcsr {name}", rest)
 
 
-@_may_go_unread
+@_end_with_reader
 def run(function: Callable[..., Any], prog: str, argv: Sequence[str]) -> int:
-    """Call a function with arguments from a command line, and turn its errors into one line and an exit code.
+    """Call a function with the arguments of a command line; an error becomes one line.
 
     Args:
-        function: its signature gives the options; what it returns is ignored. Or a dataclass with `run()`, and a
-            classmethod `defaults(argv)` for options whose default depends on another (a preset).
+        function: its signature gives the options, and what it returns is ignored. Or a dataclass
+            with a method `run()` and a class method `defaults(argv)`, for options whose default
+            depends on another option (a preset).
         prog: what the user typed before `argv`, for usage lines.
         argv: the arguments.
 
@@ -93,14 +94,14 @@ def run(function: Callable[..., Any], prog: str, argv: Sequence[str]) -> int:
         The exit code, as for :func:`main`.
 
     Raises:
-        SystemExit: help was asked for (0), or `argv` does not fit the signature (2).
+        SystemExit: the user asked for help (0), or `argv` does not fit the signature (2).
     """
     import tyro
 
     try:
         defaults = getattr(function, "defaults", None)
         result = tyro.cli(
-            function if defaults else _refusing_unwritable(function),
+            function if defaults else _checking_files(function),
             prog=prog,
             args=list(argv),
             default=defaults(argv) if defaults else tyro.MISSING,
@@ -116,9 +117,11 @@ def run(function: Callable[..., Any], prog: str, argv: Sequence[str]) -> int:
     return 0
 
 
-def _refusing_unwritable(function: Callable[..., Any]) -> Callable[..., Any]:
+def _checking_files(function: Callable[..., Any]) -> Callable[..., Any]:
+    """Make a function check the files that it writes at its end before it begins."""
+
     @functools.wraps(function)
-    def call(*args: Any, **kwargs: Any) -> Any:
+    def call(*args: object, **kwargs: object) -> object:
         _refuse_unwritable(kwargs)
         return function(*args, **kwargs)
 
@@ -128,19 +131,20 @@ def _refusing_unwritable(function: Callable[..., Any]) -> Callable[..., Any]:
 def _refuse_unwritable(options: Mapping[str, Any]) -> None:
     from cdcsr.files import refuse_unwritable
 
-    for name in _REPORTS:
+    for name in _FILE_OPTIONS:
         if options.get(name) is not None:
             refuse_unwritable(options[name])
 
 
-def _help(commands: dict[str, EntryPoint]) -> str:
+def _help(commands: Mapping[str, EntryPoint]) -> str:
     width = max((len(name) for name in commands), default=0)
     lines = [f"  {name:<{width}}  {_summary(point)}" for name, point in sorted(commands.items())]
     return "\n".join(
         [
             "usage: cdcsr COMMAND [OPTIONS]",
             "",
-            "Cable-driven continuum space robots: models, demonstrations, training, and transfer between engines.",
+            "Cable-driven continuum space robots: models, demonstrations, training, and transfer",
+            "between physics engines.",
             "",
             "commands:",
             *lines,
@@ -151,7 +155,7 @@ def _help(commands: dict[str, EntryPoint]) -> str:
 
 
 def _summary(point: EntryPoint) -> str:
-    """The first line of a command's docstring, or why it cannot be loaded."""
+    """Return the first line of a command's docstring, or why the command cannot be loaded."""
     try:
         doc = point.load().__doc__ or ""
     except Exception as error:

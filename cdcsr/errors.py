@@ -1,4 +1,4 @@
-"""Errors a user can cause. Each prints as one line and ends a command with its exit code."""
+"""Errors that a user can cause. Each prints as one line and ends a command with its exit code."""
 
 from __future__ import annotations
 
@@ -7,24 +7,24 @@ from collections.abc import Iterable
 
 
 class CdcsrError(Exception):
-    """Something in what the user gave is wrong; the message says what, what is allowed, and what to do."""
+    """Report what is wrong in the input, what is allowed, and what to do."""
 
     exit_code = 2
-    """What a command that ends with it exits with."""
+    """The exit code of a command that ends with this error."""
 
 
 class CheckFailed(CdcsrError):
-    """The command did its work, and what it was to check does not hold: exit code 1, as tests have it."""
+    """Report that a command did its work, but a check did not hold; exit code 1, as for tests."""
 
     exit_code = 1
 
 
 class Diverged(CdcsrError, FloatingPointError):
-    """A simulation left the range in which its numbers mean anything.
+    """Report that a simulation left the range in which its numbers mean anything.
 
     Attributes:
-        copy: index of the first copy that diverged.
-        time: simulated time of that copy, in [s].
+        copy: the index of the first copy that diverged.
+        time: the simulated time of that copy, in [s].
     """
 
     def __init__(self, engine: str, copy: int, time: float, what: str) -> None:
@@ -37,7 +37,7 @@ class Diverged(CdcsrError, FloatingPointError):
 
 
 def unknown_choice(kind: str, found: str, allowed: Iterable[str]) -> str:
-    """The message for a name that is not one of those allowed, with the nearest one suggested."""
+    """Return the message for a name that is not allowed; it suggests the most similar one."""
     names = sorted(allowed)
     close = difflib.get_close_matches(found, names, n=1)
     hint = f" Did you mean {close[0]!r}?" if close else ""

@@ -1,4 +1,4 @@
-"""One process at a time for each run, on this machine or on another that shares its folders."""
+"""Locks between processes, on one machine or on several that share a file system."""
 
 from __future__ import annotations
 
@@ -14,13 +14,13 @@ from pathlib import Path
 from cdcsr.errors import CdcsrError
 
 HEARTBEAT = 5.0
-"""Seconds between two signs of life of a lock's holder."""
+"""Seconds between two signs of life of the process that holds a lock."""
 STALE_AFTER = 60.0
-"""Seconds without one after which a holder on another machine counts as dead."""
+"""A holder on another machine counts as dead after so many seconds without a sign of life."""
 
 
 class Busy(CdcsrError):
-    """Another process is at it."""
+    """Report that another process holds the lock."""
 
     exit_code = 75
     """EX_TEMPFAIL: try again later."""
@@ -28,10 +28,10 @@ class Busy(CdcsrError):
 
 @contextmanager
 def lock(path: Path) -> Iterator[None]:
-    """Hold the lock `path`; that of a process that died is taken over.
+    """Hold the lock file `path` while the block runs; take it over from a process that died.
 
-    A holder on this machine is dead if its process is gone; one on another machine if it has not touched the file
-    for :data:`STALE_AFTER` seconds.
+    A holder on this machine is dead if its process is gone, one on another machine if it has not
+    touched the file for :data:`STALE_AFTER` seconds.
 
     Raises:
         Busy: a live process holds it.
@@ -47,10 +47,10 @@ def lock(path: Path) -> Iterator[None]:
     mine = path.with_name(f".{path.name}.{token[:8]}")
     done = threading.Event()
     beat = threading.Thread(target=_keep_alive, args=(path, done), daemon=True)
-    try:  # a signal may end this process anywhere in here
+    try:  # a signal may end this process at any point here
         mine.write_text(json.dumps(holder))
         _take(path, mine)
-        mine.unlink(missing_ok=True)  # now, as a killed process leaves it otherwise
+        mine.unlink(missing_ok=True)  # now, as a killed process would leave it behind
         beat.start()
         yield
     finally:
@@ -63,14 +63,14 @@ def lock(path: Path) -> Iterator[None]:
 
 
 def _take(path: Path, mine: Path) -> None:
-    """Give `mine` the name `path`. A link is made or not made, at once, also on a network's file system.
+    """Give the file `mine` the name `path` by a hard link, which is atomic on network disks too.
 
-    A dead lock is replaced, also at once, by the one who holds another lock, whose turn it is to do so. Nobody else
-    may, and the dead does not, so what he has seen dead is what he replaces. Had he died at it, his turn is taken over
-    likewise.
+    To replace the lock of a dead process, a process must first hold a second lock, `next`. Nobody
+    else may replace the first lock meanwhile, so the lock that was seen dead is the one that is
+    replaced. If the process dies with the second lock, that is taken over in the same way.
 
     Raises:
-        Busy: a live process holds it, or is taking it over.
+        Busy: a live process holds the lock, or is taking it over.
     """
     for _ in range(10):
         with suppress(FileExistsError):
@@ -78,9 +78,8 @@ def _take(path: Path, mine: Path) -> None:
             return
         if _is_stale(path):
             turn = path.with_name(f".{path.name}.next")
-            own = mine.with_name(
-                f"{mine.name}.next"
-            )  # a second name, as the first is used up where it replaces
+            # A second name of the same file, as `replace` below uses up the first.
+            own = mine.with_name(f"{mine.name}.next")
             own.hardlink_to(mine)
             try:
                 _take(turn, own)
@@ -93,13 +92,13 @@ def _take(path: Path, mine: Path) -> None:
             finally:
                 turn.unlink()
         elif path.exists():
-            break  # else it was given back just now
+            break  # otherwise it was given back just now
     holder = _holder(path)
     raise Busy(f"{path} is held by the live process {holder.get('pid')} on {holder.get('host')}.")
 
 
 def _is_stale(path: Path) -> bool:
-    """Whether there is a lock whose holder is dead."""
+    """Return whether there is a lock whose holder is dead."""
     holder = _holder(path)
     if holder.get("host") == socket.gethostname():
         pid = holder.get("pid")
@@ -134,7 +133,7 @@ def _is_alive(pid: object) -> bool:
 
 
 def _started(pid: object) -> str | None:
-    """When a process started, where the system tells: its number may be given again."""
+    """Return when a process started, where the system tells; process numbers are used again."""
     try:
         stat = Path(f"/proc/{pid}/stat").read_text()
     except OSError:

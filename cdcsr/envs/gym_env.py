@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import Any, Unpack
 
 import gymnasium as gym
@@ -27,6 +28,8 @@ from cdcsr.tasks.task import Reward, Task, Verdict
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
+Info = dict[str, Any]
+"""Gymnasium's type of infos, options and metadata."""
 
 _SNAPSHOT = ("time", "position", "velocity", "private")
 """The arrays of a snapshot that are always there."""
@@ -140,9 +143,7 @@ class TaskVectorEnv(VectorEnv[Array, Array, NDArray[np.generic]]):
         """How many actions each episode has had, shape (num_envs,)."""
         return self._episodes.actions_taken
 
-    def reset(
-        self, *, seed: int | None = None, options: dict[str, Any] | None = None
-    ) -> tuple[Array, dict[str, Any]]:
+    def reset(self, *, seed: int | None = None, options: Info | None = None) -> tuple[Array, Info]:
         """Begin new episodes.
 
         Args:
@@ -165,7 +166,7 @@ class TaskVectorEnv(VectorEnv[Array, Array, NDArray[np.generic]]):
         distance, verdict = self._episodes.judge(state, count=False)
         return observation, self._info(state, distance, verdict)
 
-    def step(self, actions: ArrayLike) -> tuple[Array, Array, Mask, Mask, dict[str, Any]]:
+    def step(self, actions: ArrayLike) -> tuple[Array, Array, Mask, Mask, Info]:
         """Advance all robots by one action.
 
         Args:
@@ -221,7 +222,7 @@ class TaskVectorEnv(VectorEnv[Array, Array, NDArray[np.generic]]):
             state["plant.generator"] = pack_generator(self.randomization.rng)
         return state | {"generator": pack_generator(self.np_random)}
 
-    def set_state(self, state: dict[str, NDArray[Any]]) -> None:
+    def set_state(self, state: Mapping[str, NDArray[Any]]) -> None:
         """Go on from what :meth:`get_state` returned; engine, robot and task must be the same."""
         for name, rows in self._episodes.arrays().items():
             rows[:] = state[name]
@@ -251,14 +252,14 @@ class TaskVectorEnv(VectorEnv[Array, Array, NDArray[np.generic]]):
         self._begun = True
         return self._channel.start(observe(self.simulation.state(), self.targets), fresh)
 
-    def _info(self, state: State, distance: Array, verdict: Verdict) -> dict[str, Any]:
+    def _info(self, state: State, distance: Array, verdict: Verdict) -> Info:
         info = {"is_success": verdict.success, "distance": distance}
         if self._episodes.counts:
             info["on_target"] = verdict.on_target
             info |= self.task.extra_info(state, self._episodes.counts)
         return info
 
-    def close_extras(self, **_: Any) -> None:
+    def close_extras(self, **_: object) -> None:
         """Release what the engine holds; Gymnasium calls this from `close`."""
         self.simulation.close()
 
@@ -275,7 +276,7 @@ class TaskEnv(gym.Env[Array, Array]):
         options: see :class:`EnvOptions`.
     """
 
-    metadata: dict[str, Any] = {  # noqa: RUF012 (Gymnasium's name and type)
+    metadata: Info = {  # noqa: RUF012 (Gymnasium's name and type)
         "render_modes": ["rgb_array"],
         "render_fps": 50,
     }
@@ -286,9 +287,7 @@ class TaskEnv(gym.Env[Array, Array]):
         self.observation_space = self.batch.single_observation_space
         self.action_space = self.batch.single_action_space
 
-    def reset(
-        self, *, seed: int | None = None, options: dict[str, Any] | None = None
-    ) -> tuple[Array, dict[str, Any]]:
+    def reset(self, *, seed: int | None = None, options: Info | None = None) -> tuple[Array, Info]:
         """Begin a new episode; see :meth:`TaskVectorEnv.reset`."""
         super().reset(seed=seed)
         given = read_reset_options(options, target=(3,))
@@ -296,7 +295,7 @@ class TaskEnv(gym.Env[Array, Array]):
         observation, info = self.batch.reset(seed=seed, options=targets)
         return observation[0], _first(info)
 
-    def step(self, action: Array) -> tuple[Array, float, bool, bool, dict[str, Any]]:
+    def step(self, action: Array) -> tuple[Array, float, bool, bool, Info]:
         """Advance the robot by one action, shape (C,); see :meth:`TaskVectorEnv.step`."""
         observation, reward, terminated, truncated, info = self.batch.step(np.asarray(action)[None])
         return (
@@ -316,6 +315,6 @@ class TaskEnv(gym.Env[Array, Array]):
         self.batch.close()
 
 
-def _first(info: dict[str, Any]) -> dict[str, Any]:
+def _first(info: Info) -> Info:
     """Return the info of the only copy."""
     return {name: rows[0].item() for name, rows in info.items()}

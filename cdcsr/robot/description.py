@@ -1,9 +1,10 @@
 """The description of a cable-driven continuum space robot, read from and written to TOML.
 
-A robot is a free-floating base with a serial arm of rigid links. Each link hangs on a universal joint
-(two crossed hinges, first about x, then about y) at its lower end, and links are grouped into segments.
-Every segment has its own cables. A cable runs from a servo-driven slider inside the base through two
-guides on each link it passes, to its anchor: the upper guide of the last link of its own segment.
+A robot is a free-floating base with a serial arm of rigid links. Each link hangs on a universal
+joint at its lower end (two crossed hinges, first about x, then about y). Links are grouped into
+segments, and every segment has its own cables. A cable runs from a servo-driven slider inside the
+base through two guides on each link that it passes, to its anchor: the upper guide of the last link
+of its own segment.
 
 Lengths in [m], masses in [kg], angles in [rad] unless a name says degrees. The arm points along +z.
 """
@@ -31,7 +32,7 @@ from pydantic import (
 from pydantic_core import InitErrorDetails, PydanticCustomError
 
 from cdcsr.errors import CdcsrError, unknown_choice
-from cdcsr.robot.toml_errors import again, describe
+from cdcsr.robot.toml_errors import describe, report_again
 
 Positive = Annotated[float, Field(gt=0)]
 NonNegative = Annotated[float, Field(ge=0)]
@@ -39,7 +40,7 @@ Vector = Annotated[tuple[float, float, float], Strict(False)]
 
 
 def _possible_inertia(inertia: tuple[float, float, float]) -> tuple[float, float, float]:
-    """Principal moments of a rigid body are positive and none exceeds the sum of the other two."""
+    """Check that the moments are positive and that none exceeds the sum of the other two."""
     low, mid, high = sorted(inertia)
     if low <= 0:
         raise ValueError("principal moments of inertia must be positive")
@@ -55,7 +56,7 @@ Inertia = Annotated[Vector, AfterValidator(_possible_inertia)]
 
 
 class Part(BaseModel):
-    """A frozen section of the description: unknown keys and wrong types are errors."""
+    """A section of the description. It is frozen; unknown keys and wrong types are errors."""
 
     model_config = ConfigDict(frozen=True, extra="forbid", strict=True, allow_inf_nan=False)
 
@@ -72,11 +73,14 @@ class Base(Part):
 
 
 class Link(Part):
-    """One rigid link: a cylinder along z, its universal joint at the lower end."""
+    """One rigid link: a cylinder along z with its universal joint at the lower end."""
 
     length: Positive
+    """In [m]."""
     radius: Positive
+    """In [m]."""
     mass: Positive
+    """In [kg]."""
     inertia: Inertia
     """Principal moments about the link's centre in [kg m^2]."""
 
@@ -85,9 +89,9 @@ class Joint(Part):
     """Each of the two crossed hinges of a link."""
 
     stiffness: NonNegative
-    """[N m/rad]; the rest angle is zero."""
+    """In [N m/rad]; the rest angle is zero."""
     damping: NonNegative
-    """[N m s/rad]."""
+    """In [N m s/rad]."""
     limit: Annotated[float, Field(gt=0, le=3.141592653589793)]
     """Largest angle of a hinge to either side in [rad]."""
 
@@ -100,7 +104,8 @@ class Cables(Part):
     pitch_radius: Positive
     """Distance of the cables from the arm's axis in [m]."""
     guide_offset: Positive
-    """Distance of each guide from the nearer end of its link (in the base: below its top face) in [m]."""
+    """Distance of each guide from the nearer end of its link, in [m]; in the base, from the top
+    face."""
 
 
 class Servo(Part):
@@ -131,14 +136,15 @@ class Segment(Part):
 
 
 class Constraint(Part):
-    """Unilateral constraints: cables (never longer than at rest) and hinge limits."""
+    """Unilateral constraints: cables, never longer than at rest, and hinge limits."""
 
     recovery_time: Positive
-    """Time constant in which an excess of length or angle is taken back, in [s]; at least two time steps."""
+    """The time constant with which an excess of length or angle decays, in [s]; at least two time
+    steps."""
 
 
 class Workspace(Part):
-    """Where the robot is asked to work: the cuboid of the Anchor Space."""
+    """The cuboid of the Anchor Space, where the robot works."""
 
     center: Vector
     """In the world frame, in [m]."""
@@ -147,17 +153,19 @@ class Workspace(Part):
 
 
 class MujocoOptions(Part):
-    """Numbers only MuJoCo has."""
+    """Numbers that only MuJoCo reads."""
 
     integrator: Literal["implicitfast", "implicit", "Euler"] = "implicitfast"
-    """Of the model files, for stock MuJoCo. The simulation has dampers implicit, and nothing else, whatever it is."""
+    """The integrator in the model files, for stock MuJoCo. The simulation does not read it: there
+    dampers are implicit, and nothing else is."""
     impedance: Annotated[float, Field(gt=0, lt=1)] = 0.999
-    """Impedance (solimp dmin = dmax) of hinge limits and, in the model files, of cables; 1 is rigid. Too near to 1,
-    a taut cable of the model files that shrinks by nanometres is slack for a step, in which its slider flies free."""
+    """Impedance (solimp dmin = dmax) of hinge limits and, in the model files, of cables; 1 is
+    rigid. Too close to 1, a taut cable of the model files that shortens by nanometres is slack for
+    a step, in which nothing holds its slider."""
 
 
 class Robot(Part):
-    """A whole robot. Load one with :func:`load_robot`."""
+    """The description of a robot; :func:`load_robot` loads one."""
 
     name: Annotated[str, Field(pattern=r"^[a-z][a-z0-9-]*$")]
     """Lower-case letters, digits and hyphens."""
@@ -172,13 +180,13 @@ class Robot(Part):
     @model_validator(mode="wrap")
     @classmethod
     def _check_across_sections(cls, data: Any, handler: Any) -> Self:
-        """Rules that tie sections together, reported along with the errors inside them."""
+        """Check rules between sections, and report what breaks them along with all other errors."""
         errors: list[InitErrorDetails] = []
         robot = None
         try:
             robot = handler(data)
         except ValidationError as error:
-            errors += [again(line) for line in error.errors()]
+            errors += [report_again(line) for line in error.errors()]
         if robot is None:
             errors += list(_cross_errors(data))
         else:
@@ -193,7 +201,7 @@ class Robot(Part):
 
     @property
     def links(self) -> tuple[tuple[Link, Joint], ...]:
-        """Every link with its joint, from the base to the tip."""
+        """All links with their joints, from the base to the tip."""
         return tuple((s.link, s.joint) for s in self.segments for _ in range(s.links))
 
     @property
@@ -202,7 +210,7 @@ class Robot(Part):
 
     @property
     def num_hinges(self) -> int:
-        """Two for each link, x before y, root to tip."""
+        """Two for each link."""
         return 2 * self.num_links
 
     @property
@@ -231,7 +239,7 @@ class Robot(Part):
 
     @property
     def total_mass(self) -> float:
-        """[kg]."""
+        """In [kg]."""
         return (
             self.base.mass
             + sum(link.mass for link, _ in self.links)
@@ -240,12 +248,12 @@ class Robot(Part):
 
     @property
     def fingerprint(self) -> str:
-        """A hash of every number that decides the motion; the name is not part of it."""
+        """A hash of every number that affects the motion; the name is not part of it."""
         data = self.model_dump(mode="json", exclude={"name"})
         return hashlib.sha256(json.dumps(data, sort_keys=True).encode()).hexdigest()[:16]
 
     def to_toml(self) -> str:
-        """The description as TOML; reading it back gives an equal robot."""
+        """Return the description as TOML; reading it back gives an equal robot."""
         return tomli_w.dumps(self.model_dump(mode="json"))
 
 
@@ -253,7 +261,8 @@ def parse_robot(text: str, source: str = "<text>") -> Robot:
     """Read a description from TOML text.
 
     Raises:
-        CdcsrError: the text is not TOML, or breaks rules; all broken rules are listed, each with its place.
+        CdcsrError: the text is not TOML, or breaks rules; the message lists every broken rule with
+            its line.
     """
     try:
         data = tomllib.loads(text)
@@ -293,7 +302,7 @@ def load_robot(robot: str | Path) -> Robot:
 
 
 def shipped_robots() -> list[str]:
-    """Names of the robots that come with the package."""
+    """Return the names of the robots that come with the package."""
     folder = resources.files("models") / "robots"
     return sorted(
         f.name.removesuffix(".toml") for f in folder.iterdir() if f.name.endswith(".toml")
@@ -301,7 +310,10 @@ def shipped_robots() -> list[str]:
 
 
 def _cross_errors(data: Any) -> Iterator[InitErrorDetails]:
-    """Errors between sections of possibly broken data; silent where a number is missing, or wrong in itself."""
+    """Yield the errors between sections of data that may be broken in any way.
+
+    A number that is missing or wrong in itself is passed over: other checks report it.
+    """
 
     def number(*place: str | int) -> float | None:
         value = data
@@ -342,8 +354,8 @@ def _cross_errors(data: Any) -> Iterator[InitErrorDetails]:
             if length is not None and offset >= length / 2:
                 yield error(
                     place,
-                    f"puts a guide outside its link: must be below half of segments[{j}].link.length "
-                    f"({length / 2:g} m)",
+                    "puts a guide outside its link: must be below half of "
+                    f"segments[{j}].link.length ({length / 2:g} m)",
                 )
                 break
         below = number("segments", i, "servo", "offset")

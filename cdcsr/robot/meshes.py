@@ -1,6 +1,6 @@
-"""What the robot looks like, as triangle meshes, and the inertia of a solid of a given shape.
+"""Triangle meshes of a robot for pictures, and the inertia of a solid of a given shape.
 
-Meshes are for the eye only: masses, inertias and routing come from the description.
+Masses, inertias and routing do not come from the meshes but from the description.
 """
 
 from __future__ import annotations
@@ -24,15 +24,15 @@ _HULL = (190, 195, 205, 255)
 _PANEL = (35, 60, 130, 255)
 _METAL = (90, 90, 95, 255)
 _SEGMENTS = ((225, 120, 50, 255), (60, 140, 200, 255), (90, 170, 90, 255))
-"""Colours of the segments from the base on, as RGBA; used over again if there are more segments."""
+"""Colours of the segments from the base on, as RGBA; a fourth segment has the first one again."""
 
 
 def visual_meshes(robot: Robot) -> dict[str, trimesh.Trimesh]:
-    """One mesh for each kind of part, in the frame of its body, in [m].
+    """Return one mesh for each kind of part, in the frame of its body, in [m].
 
     Returns:
-        `base` (origin at its centre), and for each segment s from 0: `link_<s>` (origin at its joint, +z along
-        the link) and `slider_<s>` (origin at its centre).
+        `base` (origin at its centre), and for each segment s from 0: `link_<s>` (origin at its
+        joint, +z along the link) and `slider_<s>` (origin at its centre).
     """
     meshes = {"base": _base(robot)}
     for s, segment in enumerate(robot.segments):
@@ -44,14 +44,14 @@ def visual_meshes(robot: Robot) -> dict[str, trimesh.Trimesh]:
 
 
 def solid_inertia(mesh: trimesh.Trimesh, mass: float) -> NDArray[np.float64]:
-    """Inertia tensor of a solid of uniform density.
+    """Return the inertia tensor of a solid of uniform density.
 
     Args:
         mesh: its surface, closed.
         mass: in [kg].
 
     Returns:
-        Shape (3, 3), about the solid's centre of mass, along the mesh's axes, in [kg m^2].
+        Shape (3, 3), about the solid's centre of mass, along the axes of the mesh, in [kg m^2].
 
     Raises:
         CdcsrError: the mesh encloses no volume.
@@ -62,10 +62,12 @@ def solid_inertia(mesh: trimesh.Trimesh, mass: float) -> NDArray[np.float64]:
 
 
 def export_glb(robot: Robot, path: Path) -> None:
-    """Write the whole robot, straight, as one GLB scene. As glTF asks, the scene's up is +y: the arm's +z.
+    """Write the whole straight robot as one GLB scene.
+
+    As glTF asks, up is +y in the scene; that is +z of the arm.
 
     Raises:
-        CdcsrError: the place cannot be written to.
+        CdcsrError: the file cannot be written.
     """
     meshes = visual_meshes(robot)
     scene = trimesh.Scene(base_frame="world")
@@ -96,7 +98,7 @@ def export_glb(robot: Robot, path: Path) -> None:
     for c, s in enumerate(kinds):
         x, y = route.place[c]
         low = robot.top - route.guide_offset[c] - route.slider_offset[c]
-        # At rest a cable is as long as its rest length: the slider stands where its guides are in line.
+        # At rest the slider and the guides are in line, so the cable is drawn straight.
         line = trimesh.creation.cylinder(0.0012, height=route.rest_length[c], sections=8)
         place(f"slider_{s}", f"slider{c}", (x, y, low))
         place(_coloured(line, _METAL), f"cable{c}", (x, y, low + route.rest_length[c] / 2))
@@ -104,7 +106,7 @@ def export_glb(robot: Robot, path: Path) -> None:
 
 
 def _base(robot: Robot) -> trimesh.Trimesh:
-    """A bevelled box of the description's size, with a nozzle below and a solar panel to either side."""
+    """Return a bevelled box with a nozzle below and a solar panel on either side."""
     x, y, z = (edge / 2 for edge in robot.base.size)
     small = min(x, y, z)
     signs = np.array(np.meshgrid([-1, 1], [-1, 1], [-1, 1])).reshape(3, -1).T
@@ -127,7 +129,7 @@ def _base(robot: Robot) -> trimesh.Trimesh:
 
 
 def _link(robot: Robot, s: int) -> trimesh.Trimesh:
-    """A backbone with a ball at its joint and a disc at every guide: those of all cables that pass."""
+    """Return a backbone with a ball at its joint and a disc at each guide of a passing cable."""
     link = robot.segments[s].link
     passing = [segment.cables for segment in robot.segments[s:]]
     pitch = max(cables.pitch_radius for cables in passing)
@@ -145,7 +147,7 @@ def _link(robot: Robot, s: int) -> trimesh.Trimesh:
 
 
 def _revolved(profile: list[tuple[float, float]]) -> trimesh.Trimesh:
-    """The solid swept by a profile of (radius, z) around z."""
+    """Return the solid that a profile of (radius, z) sweeps around z."""
     return trimesh.creation.revolve(np.array(profile), sections=_SECTIONS)
 
 

@@ -1,14 +1,13 @@
-"""Cable routing in closed form: how long each cable is, and how its length changes with the joints.
+"""Cable routing in closed form: the length of each cable, and its derivatives.
 
-Between the two guides of one link a cable keeps its length; it changes only where it crosses a joint.
-So the length of a cable is a sum of crossings, each a function of the two hinge angles of one joint,
-plus the straight part between slider and first guide. No other coordinate enters: base motion never
-changes a cable's length.
+Between the two guides of one link the length of a cable is constant; it changes only where the
+cable crosses a joint. So the length is a sum of crossings, each a function of the two hinge angles
+of one joint, plus the straight part between slider and first guide. Base motion does not change it.
 """
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,16 +17,18 @@ from cdcsr.robot.description import Robot
 Array = NDArray[np.float64]
 
 
-def crossing(sx: Any, cx: Any, sy: Any, cy: Any, px: Any, py: Any, o: Any) -> tuple[Any, Any, Any]:
-    """A cable's length between the guides just below and just above one universal joint.
+def crossing(
+    sx: Array, cx: Array, sy: Array, cy: Array, px: Array, py: Array, o: Array
+) -> tuple[Array, Array, Array]:
+    """Return a cable's length between the guides just below and just above one universal joint.
 
-    Below, the guide is at (px, py, -o) in the lower body's frame at the joint; above, at (px, py, o) in the
-    upper body's, which is turned by Rx(qx) Ry(qy). Written for scalars as well as for arrays that broadcast,
-    so that an engine can compile the same lines.
+    Below the joint the guide is at (px, py, -o) in the lower body's frame at the joint; above it at
+    (px, py, o) in the upper body's, which is turned by Rx(qx) Ry(qy). Arguments are arrays that
+    broadcast or, where an engine compiles the function, scalars.
 
     Args:
         sx, cx, sy, cy: sine and cosine of the two hinge angles.
-        px, py: the cable's place across the arm in [m].
+        px, py: the cable's position across the arm in [m].
         o: distance of either guide from the joint in [m].
 
     Returns:
@@ -45,14 +46,14 @@ def crossing(sx: Any, cx: Any, sy: Any, cy: Any, px: Any, py: Any, o: Any) -> tu
 
 
 class Routing(NamedTuple):
-    """Where the cables run, as plain arrays (C cables, J joints)."""
+    """The paths of the cables as plain arrays; C cables."""
 
     place: Array
-    """Across the arm, shape (C, 2), in [m]."""
+    """Position across the arm, shape (C, 2), in [m]."""
     guide_offset: Array
     """Distance of the guides from the joints, shape (C,), in [m]."""
     joints: NDArray[np.int64]
-    """Number of joints each cable crosses, counted from the base, shape (C,)."""
+    """How many joints each cable crosses, counted from the base, shape (C,)."""
     slider_offset: Array
     """Distance of the slider below the first guide at rest, shape (C,), in [m]."""
     rest_length: Array
@@ -60,7 +61,7 @@ class Routing(NamedTuple):
 
 
 def routing(robot: Robot) -> Routing:
-    """The routing of every cable, segment by segment in the order of the description."""
+    """Return the routing of every cable, segment by segment in the order of the description."""
     place, offset, joints, slider, rest = [], [], [], [], []
     crossed = 0
     for segment in robot.segments:
@@ -79,7 +80,7 @@ def routing(robot: Robot) -> Routing:
 
 
 def cable_lengths(route: Routing, travel: Array, hinges: Array) -> Array:
-    """Length of every cable.
+    """Return the length of every cable.
 
     Args:
         route: from :func:`routing`.
@@ -95,7 +96,7 @@ def cable_lengths(route: Routing, travel: Array, hinges: Array) -> Array:
 
 
 def cable_jacobian(route: Routing, travel: Array, hinges: Array) -> Array:
-    """Derivative of every cable's length with respect to sliders and hinges.
+    """Return the derivatives of every cable's length with respect to sliders and hinges.
 
     Args:
         route, travel, hinges: as for :func:`cable_lengths`.
@@ -114,7 +115,10 @@ def cable_jacobian(route: Routing, travel: Array, hinges: Array) -> Array:
 
 
 def _crossings(route: Routing, hinges: Array) -> tuple[Array, Array, Array]:
-    """Length and derivatives at each (cable, joint), shape (..., C, J); at rest and zero where not crossed."""
+    """Return length and derivatives at each cable and joint, shape (..., C, J).
+
+    Where a cable does not cross a joint, the length is that at rest and the derivatives are zero.
+    """
     sin, cos = np.sin(hinges)[..., None, :], np.cos(hinges)[..., None, :]
     px, py, o = route.place[:, :1], route.place[:, 1:], route.guide_offset[:, None]
     length, by_x, by_y = crossing(

@@ -1,37 +1,36 @@
-"""What is wrong with a description, said so that its author finds the place: which line, which key, what is allowed."""
+"""Errors in a robot description, as its author can use them: line, key, rule and what was found."""
 
 from __future__ import annotations
 
-from typing import Any
-
-from pydantic_core import InitErrorDetails, PydanticCustomError
+from pydantic_core import ErrorDetails, InitErrorDetails, PydanticCustomError
 
 
-def again(line: Any) -> InitErrorDetails:
-    """A reported error as the input for a new report."""
-    kind = PydanticCustomError("error", "{message}", {"message": message(line)})
-    return InitErrorDetails(type=kind, loc=line["loc"], input=line["input"])
+def report_again(error: ErrorDetails) -> InitErrorDetails:
+    """Turn a reported error into the input of a new report."""
+    kind = PydanticCustomError("error", "{message}", {"message": message(error)})
+    return InitErrorDetails(type=kind, loc=error["loc"], input=error["input"])
 
 
-def message(line: Any) -> str:
-    """The rule that was broken."""
-    if line["type"] == "extra_forbidden":
+def message(error: ErrorDetails) -> str:
+    """Return the rule that was broken."""
+    if error["type"] == "extra_forbidden":
         return "unknown key"
-    return line["msg"].removeprefix("Value error, ").removeprefix("Input ")
+    return error["msg"].removeprefix("Value error, ").removeprefix("Input ")
 
 
-def describe(text: str, line: Any) -> str:
-    """One reported error with its line in the TOML text, its key, the rule, and what was found."""
-    place = "".join(f"[{p}]" if isinstance(p, int) else f".{p}" for p in line["loc"]).lstrip(".")
-    number = line_number(text, line["loc"])
+def describe(text: str, error: ErrorDetails) -> str:
+    """Return an error as text: its line in the TOML text, its key, the rule, and what was found."""
+    keys = (f"[{key}]" if isinstance(key, int) else f".{key}" for key in error["loc"])
+    place = "".join(keys).lstrip(".")
+    number = line_number(text, error["loc"])
     where = f"line {number}, {place}" if number else place
-    found = line["input"]
+    found = error["input"]
     shown = f" (found {found!r})" if isinstance(found, int | float | str | list | tuple) else ""
-    return f"{where}: {message(line)}{shown}"
+    return f"{where}: {message(error)}{shown}"
 
 
 def line_number(text: str, place: tuple[str | int, ...]) -> int | None:
-    """The line that sets `place`, or else opens the innermost table around it."""
+    """Return the line number that sets `place`, or else opens the innermost table around it."""
     counts: dict[str, int] = {}
     table: list[str | int] = []
     best, best_depth = None, 0

@@ -1,7 +1,8 @@
-"""The contract every engine meets: `num` independent copies of one robot, stepped together.
+"""The contract of every engine: `num` independent copies of one robot, stepped together.
 
-The first axis of every array is the copy. Coordinates, wherever a full vector appears, are in one order:
-base linear, base angular (both world frame), sliders, hinges root to tip (x before y at each joint).
+The first axis of every array is the copy. Generalized coordinates are always in one order: base
+linear, base angular (both in the world frame), sliders, hinges root to tip (x before y at each
+joint). In shapes, C is the number of cables, J that of joints and nv = 6 + C + 2 J.
 """
 
 from __future__ import annotations
@@ -21,96 +22,100 @@ from cdcsr.simulation.plant import Parameters, Plant
 
 Array = NDArray[np.float64]
 Ids = Sequence[int] | NDArray[np.integer] | None
-"""Which copies: sorted unique indices, or None for all."""
+"""Which copies: sorted unique indices, or None for all copies."""
 
 Capability = Literal["render", "bit_exact", "own_settings"]
-"""render: has its own camera. bit_exact: the same commands give the same bits, also after a snapshot. own_settings:
-has `use_own_settings`."""
+"""What only some engines can do. render: it has its own camera. bit_exact: the same commands give
+the same bits, also after a snapshot. own_settings: it has `use_own_settings`."""
 
 
 @dataclass(frozen=True)
 class State:
-    """What can be measured, at one moment. World frame, shapes (num, ...)."""
+    """What can be measured of num copies at one moment, in the world frame."""
 
     time: Array
-    """(num,) [s]."""
+    """Shape (num,), in [s]."""
     tip_position: Array
-    """(num, 3) [m]."""
+    """Shape (num, 3), in [m]."""
     tip_velocity: Array
-    """(num, 3) [m/s]."""
+    """Shape (num, 3), in [m/s]."""
     base_position: Array
-    """(num, 3) [m]."""
+    """Shape (num, 3), in [m]."""
     base_quaternion: Array
-    """(num, 4), w-x-y-z, unit length."""
+    """w-x-y-z, unit length, shape (num, 4)."""
     base_velocity: Array
-    """(num, 3) [m/s], of the base's centre."""
+    """Of the base's centre, shape (num, 3), in [m/s]."""
     base_angular_velocity: Array
-    """(num, 3) [rad/s]."""
+    """Shape (num, 3), in [rad/s]."""
     cable_travel: Array
-    """(num, C) slider positions [m]; negative is pulled."""
+    """Slider positions, shape (num, C), in [m]; negative is pulled."""
     cable_tension: Array
-    """(num, C) [N], never negative; of the step just made."""
+    """Of the step just made, never negative, shape (num, C), in [N]."""
     joint_angles: Array
-    """(num, 2 J) [rad]."""
+    """Shape (num, 2 J), in [rad]."""
     joint_rates: Array
-    """(num, 2 J) [rad/s]."""
+    """Shape (num, 2 J), in [rad/s]."""
 
 
 @dataclass(frozen=True)
 class Dynamics:
-    """The equation of motion M qdd + bias = passive + servos - L^T tensions, at one moment."""
+    """The equation of motion of n copies: M qdd + bias = passive + servos - L^T tension."""
 
     mass_matrix: Array
-    """(n, nv, nv)."""
+    """M, shape (n, nv, nv)."""
     bias_force: Array
-    """(n, nv) Coriolis, centrifugal and gyroscopic forces."""
+    """Coriolis, centrifugal and gyroscopic forces, shape (n, nv)."""
     passive_force: Array
-    """(n, nv) springs and dampers of hinges, friction of sliders."""
+    """Springs and dampers of hinges and friction of sliders, shape (n, nv)."""
     tip_jacobian: Array
-    """(n, 3, nv) tip velocity = tip_jacobian @ velocity."""
+    """Tip velocity = tip_jacobian @ velocity; shape (n, 3, nv)."""
     cable_jacobian: Array
-    """(n, C, nv) rate of cable length."""
+    """L: rate of cable length = cable_jacobian @ velocity; shape (n, C, nv)."""
     velocity: Array
-    """(n, nv)."""
+    """Shape (n, nv)."""
     cable_length: Array
-    """(n, C) [m], from slider to anchor."""
+    """From slider to anchor, shape (n, C), in [m]."""
 
 
 @dataclass(frozen=True)
 class Snapshot:
-    """Everything that determines the future of every copy, but for the robot and the parameters it was made with.
+    """All that determines the future of every copy, except for robot and parameters.
 
-    Position and velocity are common to all engines, so a snapshot can be carried from one to another;
-    `private` is what else the engine that made it needs to continue as if it had never stopped.
+    Position and velocity are common to all engines, so a snapshot can be carried from one to
+    another. `private` holds what else the engine needs to go on to the bit.
     """
 
     engine: str
+    """The engine that made it."""
     robot: str
     """The robot's fingerprint."""
     time: Array
-    """(num,) [s]."""
+    """Shape (num,), in [s]."""
     position: Array
-    """(num, 7 + C + 2 J): base position, base quaternion (w-x-y-z), sliders, hinges."""
+    """Base position, base quaternion (w-x-y-z), sliders, hinges; shape (num, 7 + C + 2 J)."""
     velocity: Array
-    """(num, 6 + C + 2 J), in the order of coordinates."""
+    """In the order of coordinates, shape (num, nv)."""
     private: Array
-    """(num, ...) read only by `engine`."""
+    """Read only by `engine`, shape (num, ...)."""
     commands: Array | None = None
-    """(num, K, C) those of the last K time steps, oldest first, in [m]; K is the longest command delay. None is
-    no commands under way."""
+    """The commands of the last K time steps, oldest first, shape (num, K, C), in [m]; K is the
+    longest command delay. None means that no commands are under way."""
 
 
 class Simulation(ABC):
-    """`num` copies of a robot in one engine, all at rest and straight at the start.
+    """`num` copies of a robot in one engine; they start straight and at rest.
 
     Args:
         robot: the description.
         num: how many copies.
 
-    Commands are servo set-points, shape (num, C), in [-eta, 0] m; engines do not clip them.
+    Commands are servo set-points, shape (num, C), in [-eta, 0] m. Engines do not clip them.
 
     Attributes:
-        plant: the numbers of every copy that `set_parameters` changes, to be read only.
+        plant: the numbers that `set_parameters` changes; read them only.
+
+    Raises:
+        CdcsrError: num is below 1.
     """
 
     engine: ClassVar[str]
@@ -128,17 +133,17 @@ class Simulation(ABC):
         self._line = DelayLine(num, robot.num_cables)
 
     def set_parameters(self, ids: Ids, parameters: Parameters) -> None:
-        """Make copies differ from the description, in everything that `parameters` hold; until set again.
+        """Set how copies differ from the description, until it is set again.
 
-        They act from the next step on, and neither reset nor a snapshot changes them. Commands sent before there
-        was any delay count as zero where a delay now asks for them.
+        Parameters act from the next step on; neither reset nor a snapshot changes them. A new delay
+        takes commands sent before the first delay as zero.
 
         Args:
             ids: which copies.
-            parameters: arrays in them have as many rows as there are `ids`.
+            parameters: their arrays have as many rows as there are `ids`.
 
         Raises:
-            CdcsrError: a parameter has a shape that does not fit, or lies outside its range.
+            CdcsrError: a parameter has the wrong shape, or is out of range.
         """
         chosen = self._chosen(ids)
         plant, delay = parameters.plant(self.robot, len(chosen)), parameters.delay(len(chosen))
@@ -148,14 +153,15 @@ class Simulation(ABC):
         self._set_plant(chosen, plant)
 
     def use_own_settings(self, numbers: bool = True) -> None:
-        """From now on step as the engine does by itself, and put all copies back to the start.
+        """Step as the engine does by itself from now on, and put all copies back to the start.
 
-        What an engine was told only so that it agrees with the description and the other engines is undone; masses,
-        routes, springs, dampers and servos stay. Each engine says in its own docstring what that comes to.
+        This undoes all settings that only make the engine agree with the description and with
+        other engines; masses, routes, springs, dampers and servos stay. The docstring of each
+        engine says what changes.
 
         Args:
-            numbers: with the engine's own numbers, too; otherwise it holds cables in its own way, if it has one, with
-                the softness that the description gives.
+            numbers: use the engine's own numbers too; if not, cables are held in the engine's own
+                way, if it has one, with the softness of the description.
 
         Raises:
             CdcsrError: the engine lacks the capability "own_settings".
@@ -165,9 +171,10 @@ class Simulation(ABC):
         )
 
     def reset(self, ids: Ids = None) -> None:
-        """Put copies back to the start: straight, at rest, time zero. The others are untouched.
+        """Put copies back to the start: straight, at rest, time zero.
 
-        Parameters stay as they were set. A slider whose cable they have shortened begins where that is just taut.
+        Other copies and all parameters stay as they are. If a parameter has shortened a cable, its
+        slider begins where the cable is just taut.
         """
         chosen = self._chosen(ids)
         self._stop_commands(chosen)
@@ -177,8 +184,8 @@ class Simulation(ABC):
         """Advance all copies by `substeps` time steps under one command.
 
         Raises:
-            CdcsrError: the command has another shape than (num, C), or a number in it is not finite.
-            Diverged: a copy's numbers left the range in which they mean anything.
+            CdcsrError: the command has not the shape (num, C), or a number in it is not finite.
+            Diverged: a copy left the range in which its numbers mean anything.
         """
         command = np.ascontiguousarray(command, dtype=float)
         expected = self.plant.servo_gain.shape
@@ -186,7 +193,7 @@ class Simulation(ABC):
             raise CdcsrError(
                 f"Commands have the shape (num, cables) = {expected}, not {command.shape}."
             )
-        if not np.isfinite(command).all():  # an engine may take it for no command at all
+        if not np.isfinite(command).all():  # an engine may read NaN as "no command"
             copy = int(np.flatnonzero(~np.isfinite(command).all(axis=1))[0])
             raise CdcsrError(
                 f"Commands must be finite; that of copy {copy} is {command[copy].tolist()}."
@@ -198,29 +205,30 @@ class Simulation(ABC):
         for _ in range(substeps):
             try:
                 self._step(self._line.push(command), 1)
-            except Diverged as error:  # the other copies are still owed all substeps
+            except Diverged as error:  # the other copies still get all substeps
                 lost = lost or error
         if lost is not None:
             raise lost
 
     @abstractmethod
     def state(self) -> State:
-        """The state of all copies. The arrays stay as they are when the simulation goes on."""
+        """Return the state of all copies. Its arrays do not change when the simulation goes on."""
 
     def get_snapshot(self) -> Snapshot:
-        """Everything that determines the future of all copies, but for robot and parameters."""
+        """Return all that determines the future of all copies, except for robot and parameters."""
         snapshot = self._get_snapshot()
         return snapshot if self._line.idle else replace(snapshot, commands=self._line.sent)
 
     def set_snapshot(self, snapshot: Snapshot) -> None:
-        """Continue from a snapshot of the same robot, from this engine or another; parameters stay as they are.
+        """Go on from a snapshot of the same robot, made by any engine; parameters stay as they are.
 
         Raises:
             CdcsrError: it is of another robot or another number of copies.
         """
         if snapshot.robot != self.robot.fingerprint:
             raise CdcsrError(
-                f"The snapshot is of robot {snapshot.robot}; this simulation runs {self.robot.fingerprint}."
+                f"The snapshot is of robot {snapshot.robot}; this simulation runs "
+                f"{self.robot.fingerprint}."
             )
         if len(snapshot.time) != self.num:
             raise CdcsrError(
@@ -232,32 +240,36 @@ class Simulation(ABC):
 
     @abstractmethod
     def dynamics(self, ids: Ids = None) -> Dynamics:
-        """The equation of motion of some copies, from this engine's own model."""
+        """Return the equation of motion of some copies, from this engine's own model."""
 
     def step_dynamics(self, ids: Ids = None) -> Dynamics | None:
-        """The equation of motion as `step` evaluates it, or None if that is the same code as `dynamics`.
+        """Return the equation of motion as `step` evaluates it, or None if `dynamics` is that code.
 
-        An engine that steps with an evaluation of its own must show it here, so that parity is measured on it too.
+        An engine whose `step` has its own evaluation must show it here, so that parity covers it.
         """
         return None
 
     @abstractmethod
     def render(self, index: int = 0, camera: str = "side") -> NDArray[np.uint8]:
-        """A picture of one copy, shape (height, width, 3).
+        """Return a picture of one copy, shape (height, width, 3).
+
+        Args:
+            index: which copy.
+            camera: a name in :data:`CAMERAS`.
 
         Raises:
-            CdcsrError: there is nothing to draw with.
+            CdcsrError: the engine cannot draw here.
         """
 
     @abstractmethod
     def close(self) -> None:
         """Release what the engine holds."""
 
-    # What an engine does of the above. The checks are done, commands already delayed, and copies in order.
+    # What an engine implements. Arguments are checked, commands already delayed, copies in order.
 
     @abstractmethod
     def _set_plant(self, ids: NDArray[np.int64], plant: Plant) -> None:
-        """Give copies `ids` the numbers in the rows of `plant`, from the next step on and in `dynamics`."""
+        """Set the numbers of copies `ids` for the next step and for `dynamics`."""
 
     @abstractmethod
     def _reset(self, ids: NDArray[np.int64]) -> None: ...
@@ -272,7 +284,7 @@ class Simulation(ABC):
     def _set_snapshot(self, snapshot: Snapshot) -> None: ...
 
     def _stop_commands(self, ids: NDArray[np.int64]) -> None:
-        """Forget what is under way to copies that are back at the start, where all set-points are zero."""
+        """Set the commands under way to copies that are back at the start to zero."""
         self._line.fill(ids, np.zeros((len(ids), self.robot.num_cables)))
 
     def _chosen(self, ids: Ids) -> NDArray[np.int64]:
@@ -285,4 +297,5 @@ CAMERAS: dict[str, tuple[float, float]] = {
     "front": (0.0, 0.0),
     "top": (55.0, -50.0),
 }
-"""Named views: azimuth around z from the y axis, and elevation, in degrees; all look at the middle of the robot."""
+"""Named views: azimuth around z from the y axis and elevation, in degrees. All look at the middle
+of the robot."""

@@ -1,4 +1,4 @@
-"""What is sent now and arrives some whole number of steps later."""
+"""Delays by a whole number of steps."""
 
 from __future__ import annotations
 
@@ -10,14 +10,19 @@ from cdcsr.errors import CdcsrError
 Array = NDArray[np.float64]
 
 MAX_DELAY = 100
-"""Longest delay in steps: a quarter of a second at 400 Hz, and 0.8 kB of memory for each of a copy's cables."""
+"""The longest delay, in steps: a quarter of a second at 400 Hz. It takes 0.8 kB for each cable of
+each copy."""
 
 
 def check_delay(name: str, delay: object) -> NDArray[np.int64]:
-    """A delay, or several, as whole numbers.
+    """Return one delay or several as whole numbers.
+
+    Args:
+        name: what the delay is called in the error.
+        delay: in steps.
 
     Raises:
-        CdcsrError: not whole numbers from 0 to `MAX_DELAY`.
+        CdcsrError: they are not whole numbers from 0 to `MAX_DELAY`.
     """
     steps = np.asarray(delay)
     if steps.dtype.kind not in "iu" or ((steps < 0) | (steps > MAX_DELAY)).any():
@@ -26,11 +31,13 @@ def check_delay(name: str, delay: object) -> NDArray[np.int64]:
 
 
 class DelayLine:
-    """Rows under way to `num` copies, each copy with a delay of its own; zeros arrive before the first ones sent.
+    """Rows of numbers on their way to `num` copies, each copy with its own delay.
+
+    Zeros arrive before the first row that was sent.
 
     Args:
         num: how many copies.
-        width: numbers in a row.
+        width: how many numbers a row has.
     """
 
     def __init__(self, num: int, width: int) -> None:
@@ -40,12 +47,12 @@ class DelayLine:
 
     @property
     def sent(self) -> Array:
-        """The rows last sent, oldest first, shape (num, longest delay, width)."""
+        """The rows sent last, oldest first, shape (num, longest delay, width)."""
         return self._sent.copy()
 
     @sent.setter
     def sent(self, rows: Array) -> None:
-        """What is not needed is dropped, and what is missing is zero."""
+        """Set the rows sent last; rows that are too old are dropped, missing ones are zero."""
         num, longest, width = self._sent.shape
         kept = min(longest, rows.shape[1])
         self._sent = np.zeros((num, longest, width))
@@ -53,22 +60,22 @@ class DelayLine:
 
     @property
     def idle(self) -> bool:
-        """Whether all rows arrive at once, so that there is no need to push them through."""
+        """Whether all rows arrive at once, so that nothing has to be pushed."""
         return self._sent.shape[1] == 0
 
     def set_delay(self, ids: NDArray[np.int64], delay: NDArray[np.int64]) -> None:
-        """From now on rows to copies `ids` arrive `delay` steps late; the others' are as late as before."""
+        """Delay the rows to copies `ids` by `delay` steps from now on; other copies keep theirs."""
         self._delay[ids] = delay
         rows = self._sent
         self._sent = np.zeros((rows.shape[0], int(self._delay.max()), rows.shape[2]))
         self.sent = rows
 
     def fill(self, ids: NDArray[np.int64], row: Array) -> None:
-        """As if `row`, shape (len(ids), width), had been sent to copies `ids` for ever."""
+        """Act as if `row`, shape (len(ids), width), had always been sent to copies `ids`."""
         self._sent[ids] = row[:, None]
 
     def push(self, row: Array) -> Array:
-        """Send a row to each copy, shape (num, width); returns those that arrive, of the same shape."""
+        """Send a row to each copy, shape (num, width), and return the rows that arrive."""
         line = np.concatenate([self._sent, row[:, None]], axis=1)
         self._sent = line[:, 1:]
         return line[self._every, self._sent.shape[1] - self._delay]

@@ -13,12 +13,12 @@ _GROUP = "cdcsr.backends"
 
 
 def backend_names() -> list[str]:
-    """Names of the installed engines."""
+    """Return the names of the installed engines."""
     return sorted({point.name for point in entry_points(group=_GROUP)})
 
 
 def load_backend(name: str) -> type[Simulation]:
-    """The Simulation class of an engine.
+    """Return the Simulation class of an engine.
 
     Raises:
         CdcsrError: no engine of that name is installed.
@@ -30,35 +30,39 @@ def load_backend(name: str) -> type[Simulation]:
 
 
 def engine_title(name: str) -> str:
-    """Return an engine's name as it is written in text; an engine that is not installed has no
-    other than the one given."""
+    """Return an engine's title, or the name itself if no such engine is installed."""
     return load_backend(name).title if name in backend_names() else name
 
 
 def chosen_backends(name: str) -> list[str]:
-    """Return the engines that a user means by a name, or by "all".
+    """Return the names of the engines that a user means by a name, or by "all".
 
     Raises:
-        CdcsrError: no engine of that name is installed, or one of them cannot be loaded.
+        CdcsrError: no engine of that name is installed.
     """
     installed = backend_names()
     if name not in [*installed, "all"]:
         raise CdcsrError(unknown_choice("backend", name, [*installed, "all"]))
     chosen = installed if name == "all" else [name]
-    for each in chosen:  # an error comes before the work and not in the midst of it
+    for each in chosen:  # an error should come before the work
         load_backend(each)
     return chosen
 
 
 def make_simulation(robot: Robot, backend: str, num: int = 1) -> Simulation:
-    """A simulation of `num` copies in the engine of that name."""
+    """Make a simulation of `num` copies in an engine.
+
+    Raises:
+        CdcsrError: no engine of that name is installed.
+    """
     return load_backend(backend)(robot, num)
 
 
 def processors() -> int:
-    """How many processors this process may use: as many as it is bound to, and at most OMP_NUM_THREADS if that is set.
+    """Return how many processors this process may use.
 
-    Engines share their copies among so many threads or worker processes; the numbers do not depend on it.
+    That is as many as it is bound to, and at most OMP_NUM_THREADS where that is set. Engines
+    share their copies among so many threads or worker processes; results do not depend on it.
     """
     bound = (
         len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1

@@ -1,4 +1,4 @@
-"""How copies of a robot differ from its description: for domain randomization and studies of robustness."""
+"""The plant: the robot as it really is in a copy, which may differ from its description."""
 
 from __future__ import annotations
 
@@ -16,67 +16,67 @@ Array = NDArray[np.float64]
 
 
 class Plant(NamedTuple):
-    """The numbers of n copies of a robot that :class:`Parameters` change, in their own units (C cables, J joints)."""
+    """The numbers of n copies that :class:`Parameters` change; C cables, J joints."""
 
     base_mass: Array
-    """(n,) [kg]."""
+    """Shape (n,), in [kg]."""
     base_inertia: Array
-    """(n, 3) [kg m^2]."""
+    """Shape (n, 3), in [kg m^2]."""
     link_mass: Array
-    """(n, J) [kg]."""
+    """Shape (n, J), in [kg]."""
     link_inertia: Array
-    """(n, J, 3) [kg m^2]."""
+    """Shape (n, J, 3), in [kg m^2]."""
     stiffness: Array
-    """(n, 2 J) of the hinges in [N m/rad]."""
+    """Of the hinges, shape (n, 2 J), in [N m/rad]."""
     damping: Array
-    """(n, C + 2 J) of sliders in [N s/m], then of hinges in [N m s/rad]."""
+    """Of the sliders in [N s/m], then of the hinges in [N m s/rad], shape (n, C + 2 J)."""
     servo_gain: Array
-    """(n, C) [N/m]."""
+    """Shape (n, C), in [N/m]."""
     rest_length_offset: Array
-    """(n, C) how much longer each cable is than described, in [m]."""
+    """How much longer each cable is than described, shape (n, C), in [m]."""
 
     @property
     def start_travel(self) -> Array:
-        """Where sliders begin, shape (n, C), in [m]: at zero, or as far up as the straight arm's short cable asks."""
+        """Where the sliders begin, shape (n, C), in [m]: at zero, or higher for a short cable."""
         return np.maximum(-self.rest_length_offset, 0.0)
 
 
 @dataclass(frozen=True, eq=False)
 class Parameters:
-    """How n copies differ from the description; by default in nothing.
+    """How n copies differ from the description; by default they do not.
 
-    Each is a number for all copies, or an array of shape (n,) with one for each copy, or of shape (n, parts) with
-    one for each copy's every link, joint or cable. Unless they say otherwise they are factors on the
-    description's numbers. An observation that is late belongs to what lies between robot and policy: see
+    Each parameter is a number for all copies, or an array of shape (n,) or (n, parts), where parts
+    are links, joints or cables. Unless it says otherwise, it is a factor on the number of the
+    description. Late observations are no parameter of the plant: see
     :class:`cdcsr.envs.disturbances.Disturbances`.
     """
 
     base_mass: ArrayLike = 1.0
     base_inertia: ArrayLike = 1.0
-    """On all three moments."""
+    """Acts on all three moments."""
     link_mass: ArrayLike = 1.0
-    """By link."""
+    """For each link."""
     link_inertia: ArrayLike = 1.0
-    """By link, on all three moments; the mass does not change it."""
+    """For each link, acts on all three moments; link_mass does not change the inertia."""
     joint_stiffness: ArrayLike = 1.0
-    """By joint, on both of its hinges. May be zero."""
+    """For each joint, acts on both of its hinges. May be zero."""
     joint_damping: ArrayLike = 1.0
-    """By joint, on both of its hinges. May be zero."""
+    """For each joint, acts on both of its hinges. May be zero."""
     slider_damping: ArrayLike = 1.0
-    """By cable, on the friction of its slider. May be zero."""
+    """For each cable, acts on the friction of its slider. May be zero."""
     servo_gain: ArrayLike = 1.0
-    """By cable."""
+    """For each cable."""
     rest_length_offset: ArrayLike = 0.0
-    """By cable, added to its rest length, in [m]; positive is a stretched cable. A shorter one moves the place where
-    its slider begins, so set it before a reset; in mid-motion it jerks the arm."""
+    """For each cable, is added to its rest length, in [m]; positive is a stretched cable. A shorter
+    cable changes where its slider begins, so set it before a reset: later it would jerk the arm."""
     command_delay: ArrayLike = 0
-    """By copy: how many time steps pass before a command acts."""
+    """For each copy: how many time steps pass before a command acts."""
 
     def plant(self, robot: Robot, num: int) -> Plant:
-        """What they make of `num` copies of a robot.
+        """Return the numbers of `num` copies of a robot.
 
         Raises:
-            CdcsrError: one has a shape that does not fit, or lies outside its range.
+            CdcsrError: a parameter has the wrong shape, or is out of range.
         """
         links = [link for link, _ in robot.links]
         hinges = np.repeat(
@@ -88,8 +88,8 @@ class Parameters:
         offset = self._values("rest_length_offset", num, robot.num_cables)
         if not (offset > -room).all():
             raise CdcsrError(
-                f"rest_length_offset must be above {-room.min():g} m, where the slider would meet its guide; "
-                f"found {offset.min():g} m."
+                f"rest_length_offset must be above {-room.min():g} m, where the slider would meet "
+                f"its guide; found {offset.min():g} m."
             )
         stiffness = self._factors("joint_stiffness", num, robot.num_links, zero=True)
         damping = self._factors("joint_damping", num, robot.num_links, zero=True)
@@ -110,10 +110,10 @@ class Parameters:
         )
 
     def delay(self, num: int) -> NDArray[np.int64]:
-        """The command delay of `num` copies, shape (num,), in time steps.
+        """Return the command delay of `num` copies, shape (num,), in time steps.
 
         Raises:
-            CdcsrError: it has a shape that does not fit, or lies outside its range.
+            CdcsrError: it has the wrong shape, or is out of range.
         """
         steps = check_delay("command_delay", self.command_delay)
         if steps.shape not in ((), (num,)):
@@ -123,14 +123,15 @@ class Parameters:
         return np.broadcast_to(steps, num)
 
     def _values(self, name: str, num: int, parts: int) -> Array:
-        """One parameter for every copy's every part, shape (num, parts)."""
+        """Return a parameter for each part of each copy, shape (num, parts)."""
         try:
             values = np.asarray(getattr(self, name), dtype=float)
         except (TypeError, ValueError):
             raise CdcsrError(f"{name} must be a number or an array of numbers.") from None
         if values.shape not in ((), (num,), (num, parts)):
             raise CdcsrError(
-                f"{name} must be a number or have the shape ({num},) or ({num}, {parts}), not {values.shape}."
+                f"{name} must be a number or have the shape ({num},) or ({num}, {parts}), "
+                f"not {values.shape}."
             )
         if not np.isfinite(values).all():
             raise CdcsrError(f"{name} must be finite.")
@@ -139,7 +140,7 @@ class Parameters:
         )
 
     def _factors(self, name: str, num: int, parts: int, zero: bool = False) -> Array:
-        """One factor for every copy's every part, shape (num, parts)."""
+        """Return a factor for each part of each copy, shape (num, parts)."""
         values = self._values(name, num, parts)
         if not (values >= 0 if zero else values > 0).all():
             raise CdcsrError(f"{name} must be {'zero or ' * zero}positive; found {values.min():g}.")

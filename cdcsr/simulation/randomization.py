@@ -1,8 +1,6 @@
-"""Domain randomization: every episode on a plant of its own."""
+"""Domain randomization: every episode has a plant of its own."""
 
 from __future__ import annotations
-
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,6 +10,7 @@ from cdcsr.robot.description import Robot
 from cdcsr.simulation.contract import Simulation
 from cdcsr.simulation.plant import Parameters
 
+Drawn = dict[str, NDArray[np.float64] | NDArray[np.int64]]
 FACTORS = {
     "base_mass": 1.5,
     "base_inertia": 1.5,
@@ -22,26 +21,31 @@ FACTORS = {
     "slider_damping": 2.0,
     "servo_gain": 1.5,
 }
-"""At scale 1 a factor lies between 1 over this and this, its logarithm uniform; one for a copy's every part."""
+"""At scale 1 a factor lies between 1 over this and this; its logarithm is uniform. All parts of a
+copy have the same factor."""
 REST_LENGTH_OFFSET = 0.02
-"""At scale 1 each cable is by up to this much longer or shorter, uniform, in [m]."""
+"""At scale 1 each cable is longer or shorter by up to this, uniform, in [m]."""
 COMMAND_DELAY = 4
-"""At scale 1 commands are late by 0 to this many time steps, all equally likely."""
+"""At scale 1 commands are late by 0 to this many time steps, uniform."""
 MAX_SCALE = 5.0
 
 
 class Randomization:
-    """Draws :class:`Parameters` for the copies that begin an episode, and sets them.
+    """Draw :class:`Parameters` for the copies that begin an episode, and set them.
 
     Args:
         robot: the description.
         num: how many copies.
-        scale: 0 draws the description itself; 1 the ranges above; logarithms, offsets and delays grow with it.
-        rng: a stream of its own, so that nothing else that is random (targets) depends on it.
+        scale: 0 draws the description itself, 1 the ranges above; logarithms, offsets and delays
+            are proportional to it.
+        rng: a stream of its own, so that the targets do not depend on it.
 
     Attributes:
         rng: that stream.
-        drawn: what is in force, by the names of :class:`Parameters`: one row for each copy.
+        drawn: the parameters in force, by the names of :class:`Parameters`, one row for each copy.
+
+    Raises:
+        CdcsrError: the scale is out of range, or cables would become too short.
     """
 
     def __init__(self, robot: Robot, num: int, scale: float, rng: np.random.Generator) -> None:
@@ -49,11 +53,12 @@ class Randomization:
         shortest = min(servo.offset for servo in robot.servos)
         if scale * REST_LENGTH_OFFSET >= shortest:
             raise CdcsrError(
-                f"A randomization of {scale:g} shortens cables by up to {scale * REST_LENGTH_OFFSET:g} m, and the "
-                f"sliders of {robot.name!r} have room for {shortest:g} m; choose a smaller one."
+                f"A randomization of {scale:g} shortens cables by up to "
+                f"{scale * REST_LENGTH_OFFSET:g} m, and the sliders of {robot.name!r} have room "
+                f"for {shortest:g} m; choose a smaller one."
             )
         self.rng, self._scale, self._cables = rng, scale, robot.num_cables
-        self.drawn: dict[str, NDArray[Any]] = {name: np.ones(num) for name in FACTORS}
+        self.drawn: Drawn = {name: np.ones(num) for name in FACTORS}
         self.drawn["rest_length_offset"] = np.zeros((num, robot.num_cables))
         self.drawn["command_delay"] = np.zeros(num, np.int64)
 
@@ -64,13 +69,13 @@ class Randomization:
             self.drawn[name][ids] = values
         simulation.set_parameters(ids, Parameters(**new))
 
-    def restore(self, simulation: Simulation, drawn: dict[str, NDArray[Any]]) -> None:
-        """Give all copies the plants that were in force once, as `drawn` was then."""
+    def restore(self, simulation: Simulation, drawn: Drawn) -> None:
+        """Give all copies the plants that were in force when `drawn` was copied."""
         for name, values in self.drawn.items():
             values[:] = drawn[name]
         simulation.set_parameters(None, Parameters(**self.drawn))
 
-    def _draw(self, num: int) -> dict[str, NDArray[Any]]:
+    def _draw(self, num: int) -> Drawn:
         widths = self._scale * np.log(list(FACTORS.values()))
         factors = np.exp(self.rng.uniform(-1, 1, (num, len(FACTORS))) * widths)
         offset = self.rng.uniform(-1, 1, (num, self._cables)) * self._scale * REST_LENGTH_OFFSET
@@ -83,7 +88,7 @@ class Randomization:
 
 
 def check_scale(scale: float) -> None:
-    """Refuse what is no scale.
+    """Check a scale of randomization.
 
     Raises:
         CdcsrError: it does not lie in [0, MAX_SCALE].

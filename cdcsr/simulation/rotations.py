@@ -9,7 +9,7 @@ Array = NDArray[np.float64]
 
 
 def rotation_matrix(quaternion: Array) -> Array:
-    """Rotation matrices, shape (..., 3, 3), of unit quaternions w-x-y-z, shape (..., 4)."""
+    """Return the rotation matrices, shape (..., 3, 3), of unit quaternions w-x-y-z, (..., 4)."""
     w, x, y, z = np.moveaxis(quaternion, -1, 0)
     rows = [
         [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
