@@ -1,18 +1,20 @@
-"""Cables as unilateral constraints on a batch: which of them hold in a step is found here, MuJoCo solves the rest.
+"""Cables as unilateral constraints on a batch. An active-set method finds which cables pull in a
+step; MuJoCo solves the rest.
 
-MuJoCo sees a limit only once it is exceeded, and has no means to act on a cable that a step would tear past it: a
-slack one whose slider is pulled with 250 N gets 6 mm too long. So each cable is an equality here, switched on in the
-steps in which it pulls. Which ones those are is the solution of
+MuJoCo sees a limit only once it is exceeded, and cannot act on a cable that becomes taut within a
+step: a slack cable whose slider is pulled with 250 N gets 6 mm too long. Here each cable is an
+equality instead, which is active in the steps in which the cable pulls. The active set solves
 
     0 <= t   complementary to   length at the end of the step <= rest length,
 
-and the equality, which ends the step at the rest length, has just the tension t. The set of the step before is the
-first guess. Copies that find a cable pushing, or one let go that ends too long, take the step again with that cable
-changed, until none is wrong; along demonstrations 3 % of the steps are taken twice. The answer does not depend on the
-guess, and nothing but the tensions has changed, so they act on slider and arm alike and no momentum is made.
+where t is the tension: an active equality ends the step at the rest length, and its force is t. The
+first guess is the active set of the step before. A copy in which an active cable pushes, or a free
+one ends too long, takes the step again with those cables changed, until no cable is wrong. Along
+demonstrations 3 % of the steps are taken twice. The result does not depend on the guess. Each
+tension acts on slider and arm alike, so the cables create no momentum.
 
-Dampers must be implicit in the solver and not only in the integrator, or the accelerations asked for are not those
-that come out: see :func:`stepping_spec`.
+Dampers must be implicit in the constraint solver too, and not only in the integrator; otherwise the
+accelerations that the solver asks for are not those of the step: see :func:`stepping_spec`.
 """
 
 from __future__ import annotations
@@ -29,25 +31,29 @@ from cdcsr.robot.routing import routing
 Array = NDArray[np.float64]
 
 CURRENT = int(mujoco.mjtStage.mjSTAGE_VEL)
-"""Positions, velocities and their sensors are made current after each step. In a persistent batch the next step
-starts from them, so this costs nothing."""
+"""MuJoCo updates positions, velocities and their sensors after each step. In a persistent batch the
+next step starts from them, so this costs nothing."""
 _TOO_LONG = 5e-6
-"""A free cable that ends a step longer than at rest by more than this (in [m]) should have been held."""
+"""A free cable that ends a step longer than at rest by more than this, in [m], should have been
+active."""
 _PUSHING = 1e-3
-"""A held cable that pushes by more than this (in [N]) should have been free."""
+"""An active cable that pushes by more than this, in [N], should have been free."""
 _EXCESS = 5e-5
-"""What a cable is too long by (in [m]) is taken back at once, or if it is more than this with the recovery time.
-Steps leave less, from the curvature of the motion; more comes from a state or a rest length set from outside."""
+"""A step takes back an excess length up to this, in [m], at once, and a larger one with the
+recovery time. A step leaves less than this, by the curvature of the motion; more comes from a state
+or a rest length that was set from outside."""
 _TOGETHER = 4
-"""Tries that change all wrong cables at once. No step was seen to need more than two, but they may go round in circles;
-later ones change only the first wrong cable, which never does (Murty's rule, for positive definite matrices)."""
+"""The number of tries that change all wrong cables at once. No step was seen to need more than two,
+but such tries can cycle. Later ones change only the first wrong cable; for positive definite
+matrices this never cycles (Murty's least-index rule)."""
 
 
 def stepping_spec(robot: Robot) -> mujoco.MjSpec:
-    """The model that a batch steps with: of the same robot, and with dampers implicit in M + h C.
+    """Build the model that a batch steps with: the same robot, with dampers implicit in M + h C.
 
-    The armature h c on every damped joint is their matrix, where the constraint solver sees it too: (M + h C) a = f
-    - C v + ... is then an explicit (semi-implicit Euler) step. MuJoCo's implicit integrators solve the constraints
+    Every joint with damping c gets the armature h c, where h is the time step. The armatures are
+    the matrix h C, and the constraint solver sees them too: then (M + h C) a = f - C v + ... is an
+    explicit step of semi-implicit Euler. MuJoCo's implicit integrators would solve the constraints
     with M, but move with M + h C.
     """
     spec = build_spec(robot)
@@ -65,22 +71,20 @@ class Cables:
     """The cables of every copy in a persistent batch of models from :func:`stepping_spec`.
 
     Attributes:
-        tension: of the last step, shape (num, C), in [N], never negative; zero until the next one for copies that
-            were set to something new.
+        tension: in the last step, shape (num, C), in [N], never negative; zero for copies that were
+            reset or placed since.
     """
 
     def __init__(self, robot: Robot, many: batch.Batch) -> None:
         route, cables = routing(robot), robot.num_cables
         self.tension = np.zeros((many.nsim, cables))
-        self._batch, self._before, self._slider_offset = (
-            many,
-            many.state.copy(),
-            route.slider_offset,
-        )
+        self._batch, self._before = many, many.state.copy()
+        self._slider_offset = route.slider_offset
         self._rest = np.tile(route.rest_length, (many.nsim, 1))
         self._described_rest = route.rest_length
         self._target = many.expand("eq_data")[:, :, 0]
-        """(num, C) where equalities end a step, as the length beyond the description's rest length, in [m]."""
+        """Where active equalities end a step, shape (num, C), in [m] beyond the described rest
+        length."""
         self._recovering = False
         self._keep = 1 - robot.time_step / robot.constraint.recovery_time
         self._length, self._held = many.bind("ten_length"), many.bind("eq_active")
@@ -88,7 +92,8 @@ class Cables:
         self._push = many.bind("qfrc_constraint")[:, 6 : 6 + cables]
 
     def set_rest_length(self, ids: NDArray[np.int64], offset: Array) -> None:
-        """Make cables of copies `ids` longer than described by `offset`, shape (len(ids), C), in [m]."""
+        """Make the cables of copies `ids` longer than described by `offset`, shape (n, C), in
+        [m]."""
         self._rest[ids] = self._described_rest + offset
         self._target[ids] = offset
 
@@ -97,12 +102,14 @@ class Cables:
         many, end = self._batch, self._aim()
         before = self._before
         before[:] = many.state
-        # The constraints' force on a slider is its own cable's tension: upward as long as it is below the first guide.
+        # The constraint force on a slider is the tension of its own cable, upward while the slider
+        # is below the first guide.
         side = np.sign(self._slider_offset - self._travel)
         too_long = end + _TOO_LONG
         many.step(stage=CURRENT)
         pull = self._push * side
-        # More tries than these only happen if curvature makes a cable seem wrong both ways; then either will do.
+        # The limit is only reached if curvature makes a cable seem wrong both ways; then either
+        # will do.
         for tries in range(_TOGETHER + 2 * end.shape[1]):
             wrong = np.where(self._held, pull < -_PUSHING, self._length > too_long)
             if not wrong.any():
@@ -119,7 +126,11 @@ class Cables:
         np.maximum(pull, 0, out=self.tension)
 
     def _aim(self) -> Array:
-        """Set what cables that are to hold end the coming step at; returns these lengths, shape (num, C), in [m]."""
+        """Set the lengths at which active cables end the coming step, and return them.
+
+        Returns:
+            Shape (num, C), in [m].
+        """
         excess = self._length - self._rest
         if not (self._recovering or excess.max() > _EXCESS):
             return self._rest
@@ -133,10 +144,10 @@ class Cables:
 
 
 class Limits:
-    """The cables of every copy as MuJoCo has them by itself: limits of tendons; in place of :class:`Cables`.
+    """The cables of every copy as stock MuJoCo has them: soft limits of tendons.
 
     Attributes:
-        tension: as there.
+        tension: as in :class:`Cables`, which this can replace.
     """
 
     def __init__(self, robot: Robot, many: batch.Batch) -> None:
@@ -147,7 +158,8 @@ class Limits:
         self._push = many.bind("qfrc_constraint")[:, 6 : 6 + cables]
 
     def set_rest_length(self, ids: NDArray[np.int64], offset: Array) -> None:
-        """Make cables of copies `ids` longer than described by `offset`, shape (len(ids), C), in [m]."""
+        """Make the cables of copies `ids` longer than described by `offset`, shape (n, C), in
+        [m]."""
         self._batch.expand("tendon_range")[ids, :, 1] = (
             self._batch.model.tendon_range[:, 1] + offset
         )

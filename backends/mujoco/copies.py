@@ -1,4 +1,4 @@
-"""Copies with numbers of their own in a batch that shares one model."""
+"""Copies with parameters of their own in a batch that shares one model."""
 
 from __future__ import annotations
 
@@ -10,11 +10,11 @@ from cdcsr.simulation.plant import Plant
 
 
 def write_plant(many: batch.Batch, ids: NDArray[np.int64], plant: Plant) -> None:
-    """Give simulations `ids` the numbers in the rows of `plant`.
+    """Give copies `ids` the parameters in the rows of `plant`, but for the rest lengths of cables.
 
-    The model's order is that of the description: the base's body comes first, the links' last, root to tip; sliders
-    precede hinges. Rest lengths are for :class:`backends.mujoco.active_cables.Cables`. What a batch has computed from the
-    state does not follow by itself: it needs a forward().
+    The model has the order of the description: the base's body is the first and the links' bodies
+    are the last, root to tip; sliders precede hinges. The caller must call `forward` afterwards, so
+    that what the batch has computed from the state is up to date.
     """
     model = many.model
     base, first_link = model.body("base").id, model.body("link_0").id
@@ -25,11 +25,11 @@ def write_plant(many: batch.Batch, ids: NDArray[np.int64], plant: Plant) -> None
     mass[ids, first_link:], inertia[ids, first_link:] = plant.link_mass, plant.link_inertia
     many.expand("jnt_stiffness")[ids, -plant.stiffness.shape[1] :] = plant.stiffness
     many.expand("dof_damping")[ids, 6:] = plant.damping
-    if model.dof_armature.any():  # see cables.stepping_spec
+    if model.dof_armature.any():  # see stepping_spec
         armature[ids, 6:] = model.opt.timestep * plant.damping
     many.expand("actuator_gainprm")[ids, :, 0] = plant.servo_gain
     many.expand("actuator_biasprm")[ids, :, 1] = -plant.servo_gain
-    # Constraints are as soft as the masses behind them say; nothing else here is an input to those constants.
+    # The softness of constraints depends on the masses; no other parameter here changes it.
     moved = (mass[ids] != before[0]).any(axis=1) | (inertia[ids] != before[1]).any(axis=(1, 2))
     moved |= (armature[ids] != before[2]).any(axis=1)
     many.set_const(ids[moved])

@@ -1,7 +1,8 @@
-"""Robot -> MuJoCo model, through MjSpec. Cables are spatial tendons that may not exceed their rest length.
+"""Build the MuJoCo model of a robot as an MjSpec. Cables are spatial tendons that may not exceed
+their rest length.
 
-In stock MuJoCo, as in the model files and the viewers, that is a limit. The simulation replaces it by the equalities
-that are switched off here: see :mod:`backends.mujoco.active_cables`.
+In stock MuJoCo, so in the model files and in viewers, this is a limit of the tendon. The simulation
+replaces it by equalities, which are inactive here: see :mod:`backends.mujoco.active_cables`.
 """
 
 from __future__ import annotations
@@ -20,27 +21,23 @@ _INTEGRATORS = {
     "Euler": mujoco.mjtIntegrator.mjINT_EULER,
 }
 _TOUCH = 1e-9
-"""MuJoCo sees a limit only once it is exceeded. A cable that is straight at the start exceeds it by this much
-(in [m]), so that the first pull acts on the arm and not on a free slider for one step."""
+"""MuJoCo sees a limit only once it is exceeded. The cables of the straight robot exceed it by this,
+in [m], so that in the first step a pull acts on the arm and not on a free slider."""
 _RIGID = 0.9999
-"""MuJoCo's largest impedance."""
-_GREY, _STEEL, _CABLE, _RED = (
-    (0.75, 0.76, 0.8, 1),
-    (0.45, 0.5, 0.58, 1),
-    (0.9, 0.55, 0.1, 1),
-    (0.85, 0.2, 0.2, 1),
-)
+"""The largest impedance that MuJoCo allows."""
+_GREY, _STEEL = (0.75, 0.76, 0.8, 1), (0.45, 0.5, 0.58, 1)
+_CABLE, _RED = (0.9, 0.55, 0.1, 1), (0.85, 0.2, 0.2, 1)
 
 
 def build_spec(robot: Robot, meshes: Mapping[str, str] | None = None) -> mujoco.MjSpec:
-    """The robot as an MjSpec, ready to compile or to write as MJCF.
+    """Build the robot's MjSpec, ready to compile or to write as MJCF.
 
-    Degrees of freedom come in the contract's order: free base, sliders, hinges root to tip.
+    The degrees of freedom have the contract's order: free base, sliders, hinges root to tip.
 
     Args:
         robot: the description.
-        meshes: file names of visual meshes by part (``base``, ``link_<segment>``, ``slider_<segment>``);
-            without them the parts are drawn as a box, cylinders and balls.
+        meshes: the files of visual meshes by part (``base``, ``link_<segment>``,
+            ``slider_<segment>``); without them a part looks like a box, a cylinder or a ball.
     """
     spec = mujoco.MjSpec()
     spec.modelname = robot.name
@@ -67,7 +64,7 @@ def build_spec(robot: Robot, meshes: Mapping[str, str] | None = None) -> mujoco.
 
 
 def use_own_softness(spec: mujoco.MjSpec) -> None:
-    """Give a robot's spec MuJoCo's own integrator and softness of limits, as in an empty MjSpec."""
+    """Set the integrator and the softness of limits to MuJoCo's defaults, as in an empty MjSpec."""
     own = mujoco.MjSpec()
     spec.option.integrator = own.option.integrator
     joint, tendon = own.worldbody.add_body().add_joint(), own.add_tendon()
@@ -80,13 +77,11 @@ def _set_options(spec: mujoco.MjSpec, robot: Robot) -> None:
     option.timestep = robot.time_step
     option.gravity = [0, 0, 0]
     option.integrator = _INTEGRATORS[robot.mujoco.integrator]
-    option.solver = (
-        mujoco.mjtSolver.mjSOL_PGS
-    )  # few constraints, many coordinates: cheaper here than Newton, as exact
-    # Nothing collides. An automatic reset would hide divergence, which must be an error instead.
-    option.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_CONTACT) | int(
-        mujoco.mjtDisableBit.mjDSBL_AUTORESET
-    )
+    # With few constraints and many coordinates it is cheaper than Newton, and as exact.
+    option.solver = mujoco.mjtSolver.mjSOL_PGS
+    # Nothing collides. An automatic reset would hide divergence, which must be an error.
+    option.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_CONTACT)
+    option.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_AUTORESET)
 
 
 def _draw(
@@ -98,7 +93,7 @@ def _draw(
     rgba: tuple[float, ...],
     pos: tuple[float, float, float] = (0, 0, 0),
 ) -> None:
-    """A visual geom: it has no mass and touches nothing."""
+    """Add a visual geom, which has no mass and touches nothing."""
     looks = {"rgba": rgba, "contype": 0, "conaffinity": 0, "density": 0.0, "group": 1}
     if meshes and part in meshes:
         body.add_geom(type=mujoco.mjtGeom.mjGEOM_MESH, meshname=part, **looks)
@@ -119,7 +114,7 @@ def _add_sliders(
             pos=[*route.place[c], height],
             mass=servo.mass,
             inertia=[0.4 * servo.mass * servo.radius**2] * 3,
-            ipos=[0, 0, 0],  # left out, it would become the body's position
+            ipos=[0, 0, 0],  # without this it would become the body's position
             explicitinertial=True,
         )
         slider.add_joint(
@@ -135,7 +130,8 @@ def _add_sliders(
 def _add_arm(
     base: mujoco.MjsBody, robot: Robot, route: Routing, meshes: Mapping[str, str] | None
 ) -> list[list[str]]:
-    """The links with their guides; returns the names of each cable's guides, base to anchor."""
+    """Add the links with their guides, and return the names of each cable's guides, base to
+    anchor."""
     guides: list[list[str]] = [[] for _ in robot.servos]
 
     def add_guides(
@@ -146,8 +142,8 @@ def _add_arm(
             body.add_site(name=name, pos=[*route.place[c], z], size=[0.002, 0, 0])
             guides[c].append(name)
 
-    everyone = list(range(robot.num_cables))
-    add_guides(base, everyone, "base", [robot.top - o for o in route.guide_offset])
+    all_cables = list(range(robot.num_cables))
+    add_guides(base, all_cables, "base", [robot.top - o for o in route.guide_offset])
     body, joint_at = base, robot.top
     j = 0
     for s, segment in enumerate(robot.segments):
@@ -163,7 +159,7 @@ def _add_arm(
                 _GREY,
                 (0, 0, link.length / 2),
             )
-            passing = [c for c in everyone if route.joints[c] > j]
+            passing = [c for c in all_cables if route.joints[c] > j]
             add_guides(body, passing, f"{j}_low", [route.guide_offset[c] for c in passing])
             add_guides(
                 body, passing, f"{j}_high", [link.length - route.guide_offset[c] for c in passing]
@@ -216,7 +212,8 @@ def _add_cables(spec: mujoco.MjSpec, robot: Robot, route: Routing, guides: list[
         )
         for site in (f"pull_{c}", *guides[c]):
             tendon.wrap_site(site)
-        # Ends a step at the rest length, from wherever it began: a = -v / h - excess / h^2.
+        # With this solref a step ends at the rest length wherever it began:
+        # a = -v / h - excess / h^2.
         spec.add_equality(
             name=f"held_{c}",
             type=mujoco.mjtEq.mjEQ_TENDON,
@@ -236,7 +233,8 @@ def _add_cables(spec: mujoco.MjSpec, robot: Robot, route: Routing, guides: list[
 
 
 def _add_sensors(spec: mujoco.MjSpec) -> None:
-    """What State needs and qpos and qvel do not give, in the order simulation.py reads it."""
+    """Add what State needs and qpos and qvel do not hold, in the order in which simulation.py
+    reads it."""
     sensor, site, body = mujoco.mjtSensor, mujoco.mjtObj.mjOBJ_SITE, mujoco.mjtObj.mjOBJ_XBODY
     spec.add_sensor(name="tip_position", type=sensor.mjSENS_FRAMEPOS, objtype=site, objname="tip")
     spec.add_sensor(
@@ -248,7 +246,7 @@ def _add_sensors(spec: mujoco.MjSpec) -> None:
 
 
 def _add_scenery(spec: mujoco.MjSpec, robot: Robot) -> None:
-    """Light and sight for viewers; no influence on the motion."""
+    """Add light, and what viewers look at; neither has any influence on the motion."""
     middle = (robot.top + robot.arm_length) / 2
     spec.stat.center = [0, 0, middle]
     spec.stat.extent = float(np.hypot(robot.arm_length, robot.base.size[0]))

@@ -1,4 +1,4 @@
-"""What each choice in the MuJoCo model costs per step, and how far it moves the tip: is ours the cheapest one?"""
+"""Measure what each choice in the MuJoCo model costs a step, and how far it moves the tip."""
 
 from __future__ import annotations
 
@@ -21,42 +21,45 @@ Change = Callable[[mujoco.MjSpec], None]
 
 OURS = "ours"
 FAITHFUL = 0.1
-"""A choice is faithful if it moves the tip by no more than this over an episode, in [mm]; a target is 60 mm wide."""
+"""A choice is faithful if it moves the tip by at most this over an episode, in [mm]; a target is
+60 mm wide."""
 _JACOBIAN, _INTEGRATOR, _SOLVER = mujoco.mjtJacobian, mujoco.mjtIntegrator, mujoco.mjtSolver
 
 
 @dataclass(frozen=True)
 class Choice:
-    """One row of the table."""
+    """A variant of the model, and what was measured of it."""
 
     name: str
     microseconds: float
-    """Of a step of one copy."""
+    """The time of a step of one copy, in [us]."""
     ratio: float
-    """To ours."""
+    """This time over that of our model."""
     distance: float
-    """Largest distance of the tip from ours, over all steps and episodes, in [mm]; NaN if it diverged."""
-
+    """The largest distance of the tip from our model's, over all steps and episodes, in [mm]; NaN
+    if the variant diverged."""
     holds: bool
-    """Whether cables hold: MuJoCo's own soft limits let them stretch by millimetres."""
+    """Whether the cables hold: MuJoCo's soft limits let them stretch by millimetres."""
 
     @property
     def faithful(self) -> bool:
+        """Whether the variant could take the place of our model."""
         return self.holds and self.distance <= FAITHFUL
 
 
 def model_choices(
     robot: Robot, commands: Array, rounds: int = 21, only: tuple[str, ...] = ()
 ) -> list[Choice]:
-    """Time and tip of every variant of the model that a simulation steps, under the same commands, ours first.
+    """Measure variants of the model under the same commands; the first is our model.
 
-    In one thread of one process, taking turns; medians over the rounds, ratios within a round.
+    They take turns in one thread of one process. Times are medians over the rounds, ratios are
+    taken within a round.
 
     Args:
         robot: the description.
         commands: servo set-points of N episodes side by side, shape (N, T, C), in [m].
-        rounds: turns of each.
-        only: names of the variants wanted, beside ours; by default all.
+        rounds: how many turns each variant has.
+        only: the names of the variants besides our model; by default all.
     """
     variants = _variants(robot)
     chosen = {name: v for name, v in variants.items() if not only or name in (OURS, *only)}
@@ -87,12 +90,12 @@ def model_choices(
 
 
 def cheapest(choices: list[Choice]) -> Choice:
-    """The cheapest of those that are faithful; ours if none is cheaper."""
+    """Return the cheapest faithful variant, which may be our model."""
     return min((choice for choice in choices if choice.faithful), key=lambda choice: choice.ratio)
 
 
 class _Variant(NamedTuple):
-    """One way to build and step the model."""
+    """A way to build and to step the model."""
 
     change: Change
     spec: Callable[[Robot], mujoco.MjSpec] = stepping_spec
@@ -100,7 +103,7 @@ class _Variant(NamedTuple):
 
 
 class _Stepper:
-    """Runs commands through a batch."""
+    """Steps a batch under given commands."""
 
     def __init__(
         self, robot: Robot, model: mujoco.MjModel, num: int, cables: type[Cables | Limits]
@@ -110,7 +113,7 @@ class _Stepper:
         self._control, self._places = self._batch.bind("ctrl"), self._batch.bind("site_xpos")
 
     def run(self, commands: Array) -> Array:
-        """Episodes from the start; returns tip positions, shape (T, N, 3)."""
+        """Run episodes from the start, and return the tip positions, shape (T, N, 3), in [m]."""
         self._batch.reset(stage=CURRENT)
         tips = []
         for step in range(commands.shape[1]):
@@ -152,7 +155,7 @@ def _nothing(_: mujoco.MjSpec) -> None:
     pass
 
 
-def _option(**values: int | float) -> Change:
+def _option(**values: object) -> Change:
     def change(spec: mujoco.MjSpec) -> None:
         for name, value in values.items():
             setattr(spec.option, name, value)
@@ -175,25 +178,25 @@ def _without_sensors(spec: mujoco.MjSpec) -> None:
         spec.delete(sensor)
 
 
-# -- other routes of the cables -----------------------------------------------------------------------------------
-
+# -- other routes of the cables --------------------------------------------------------------------
 
 Route = list[list[str]]
-"""Sites along a cable, in stretches; what lies between two stretches is not measured."""
+"""The sites along a cable, in stretches; the length between two stretches is not measured."""
 
 
 def _bends_only(sites: list[str]) -> Route:
-    """The stretches across the joints; those inside a body, between its own two guides, never change."""
+    """Return the stretches across the joints; those between the two guides of a link never
+    change."""
     return [sites[:2]] + [sites[i : i + 2] for i in range(1, len(sites) - 1, 2)]
 
 
 def _every_other(sites: list[str]) -> Route:
-    """The slider, the base's guide, and the upper guide of each link."""
+    """Return the slider, the base's guide, and the upper guide of each link."""
     return [sites[:1] + sites[1::2] + (sites[-1:] if len(sites) % 2 else [])]
 
 
 def _reroute(spec: mujoco.MjSpec, robot: Robot, route: Callable[[list[str]], Route]) -> None:
-    """Every cable along other sites, as long at rest as these are apart in the straight arm."""
+    """Lead every cable along other sites; its rest length is their distance in the straight arm."""
     straight = spec.compile()
     data = mujoco.MjData(straight)
     mujoco.mj_kinematics(straight, data)

@@ -1,4 +1,4 @@
-"""Many copies of a robot in MuJoCo, stepped natively on a thread pool."""
+"""The MuJoCo engine: copies of a robot in a `mujoco.batch`, stepped by a pool of threads."""
 
 from __future__ import annotations
 
@@ -18,18 +18,19 @@ from cdcsr.simulation.plant import Plant
 from cdcsr.simulation.rotations import rotation_matrix
 
 _WHOLE_STATE = int(mujoco.mjtState.mjSTATE_INTEGRATION)
-"""What a row of a batch's state holds."""
+"""The parts of the state that a row of `batch.state` holds."""
 _SPEED_LIMIT = 1e4
-"""No coordinate moves this fast (m/s or rad/s) unless the integration has failed."""
+"""A coordinate that moves faster than this, in [m/s] or [rad/s], has diverged."""
 
 
 class MujocoSimulation(Simulation):
-    """See :class:`cdcsr.simulation.contract.Simulation`.
+    """`num` copies of a robot in MuJoCo; see :class:`cdcsr.simulation.contract.Simulation`.
 
     Args:
         robot: the description.
         num: how many copies.
-        threads: threads that step the copies; None for as many as pay.
+        threads: how many threads step the copies. By default one for fewer than 8 copies, else one
+            for each processor. The numbers do not depend on it.
     """
 
     engine = "mujoco"
@@ -38,14 +39,14 @@ class MujocoSimulation(Simulation):
 
     def __init__(self, robot: Robot, num: int = 1, threads: int | None = None) -> None:
         super().__init__(robot, num)
-        if threads is None:  # waking a thread costs about as much as stepping a few copies
+        if threads is None:  # to wake a thread costs about as much as to step a few copies
             threads = processors() if num >= 8 else 1
         self._threads = threads
         self._renderer: mujoco.Renderer | None = None
         self._start(stepping_spec(robot).compile(), Cables)
 
     def _start(self, model: mujoco.MjModel, cables: type[Cables | Limits]) -> None:
-        """Simulate a model from the start."""
+        """Make the batch of a model, and put all copies to the start."""
         self.model = model
         self.batch = batch.Batch(model, self.num, self._threads, True)
         self._sensors = self.batch.bind("sensordata")
@@ -53,13 +54,16 @@ class MujocoSimulation(Simulation):
         self._time, self._ctrl = self.batch.bind("time"), self.batch.bind("ctrl")
         self._cables = cables(self.robot, self.batch)
         self._scratch = mujoco.MjData(model)
-        # Where a copy's own model is looked at; None as long as all have the same.
+        # Receives the model of a copy that is looked at; None while all copies have the same model.
         self._own_model: mujoco.MjModel | None = None
         self.reset()
 
     def use_own_settings(self, numbers: bool = True) -> None:
-        """As in the contract. MuJoCo's own way is to limit tendons, softly, and to move with implicit dampers; its
-        numbers are the Euler integrator and limits of the softness solref = (0.02, 1), solimp = (0.9, 0.95, ...)."""
+        """Step with soft limits of tendons and the description's integrator; see the contract.
+
+        MuJoCo's own numbers are the Euler integrator, and limits with solref = (0.02, 1) and solimp
+        = (0.9, 0.95, ...).
+        """
         spec = build_spec(self.robot)
         if numbers:
             use_own_softness(spec)
@@ -71,7 +75,7 @@ class MujocoSimulation(Simulation):
     def _set_plant(self, ids: NDArray[np.int64], plant: Plant) -> None:
         write_plant(self.batch, ids, plant)
         self._cables.set_rest_length(ids, plant.rest_length_offset)
-        # The next step starts from what the last one has left, mass matrix and all; that is now out of date.
+        # The next step starts from what the last one has computed, which is out of date now.
         self.batch.forward(ids, stage=CURRENT)
         if self._own_model is None:
             self._own_model = self.batch.get_model(0)
@@ -91,7 +95,7 @@ class MujocoSimulation(Simulation):
         self._check_divergence()
 
     def _check_divergence(self) -> None:
-        # NaN compares false, so "not below" also catches it.
+        # NaN compares false, so "not below" catches it too.
         if not np.abs(self._qvel).max() < _SPEED_LIMIT:
             speed = np.abs(self._qvel).max(axis=1)
             copy = int(np.flatnonzero(~(speed < _SPEED_LIMIT))[0])
@@ -137,35 +141,30 @@ class MujocoSimulation(Simulation):
             self._cables.tension[:] = snapshot.private[:, size:]
         else:
             self.batch.reset(stage=int(mujoco.mjtStage.mjSTAGE_NONE))
-            self._time[:], self._qpos[:], self._qvel[:] = (
-                snapshot.time,
-                snapshot.position,
-                snapshot.velocity,
-            )
+            self._time[:], self._qpos[:] = snapshot.time, snapshot.position
+            self._qvel[:] = snapshot.velocity
             to_body = rotation_matrix(snapshot.position[:, 3:7]).swapaxes(1, 2)
             self._qvel[:, 3:6] = np.einsum("nij,nj->ni", to_body, snapshot.velocity[:, 3:6])
             self._cables.tension[:] = 0
         self.batch.forward(stage=CURRENT)
 
     def write_to(self, data: mujoco.MjData, index: int = 0) -> None:
-        """Put one copy's state into MuJoCo data of the same coordinates. What follows from it is for the caller."""
+        """Write the state of one copy into MuJoCo data with the same coordinates.
+
+        The caller must call `mj_forward` to update what follows from the state.
+        """
         mujoco.mj_setState(data.model, data, self.batch.state[index], _WHOLE_STATE)
 
     def read_from(self, data: mujoco.MjData, index: int = 0) -> None:
-        """Continue one copy from the state in MuJoCo data of the same coordinates, applied forces included."""
+        """Continue one copy from the state in MuJoCo data with the same coordinates, applied forces
+        included."""
         mujoco.mj_getState(data.model, data, self.batch.state[index], _WHOLE_STATE)
         self.batch.forward([index], stage=CURRENT)
 
     def dynamics(self, ids: Ids = None) -> Dynamics:
-        """The equation of motion, from MuJoCo's own model."""
-        chosen = np.arange(self.num) if ids is None else np.asarray(ids)
-        model, data, nv, num_cables = (
-            self.model,
-            self._scratch,
-            self.model.nv,
-            self.robot.num_cables,
-        )
-        own = self._own_model
+        chosen = self._chosen(ids)
+        model, data, own = self.model, self._scratch, self._own_model
+        nv, num_cables = self.model.nv, self.robot.num_cables
         mass, tip = np.zeros((len(chosen), nv, nv)), np.zeros((len(chosen), 3, nv))
         bias, passive = np.zeros((2, len(chosen), nv))
         cables, velocity = np.zeros((len(chosen), num_cables, nv)), np.zeros((len(chosen), nv))
@@ -178,14 +177,13 @@ class MujocoSimulation(Simulation):
             mujoco.mj_fwdPosition(model, data)
             mujoco.mj_fwdVelocity(model, data)
             mujoco.mj_fullM(model, data, mass[i])
-            mass[i, diagonal, diagonal] -= (
-                model.dof_armature
-            )  # which is no mass: see cables.stepping_spec
+            mass[i, diagonal, diagonal] -= model.dof_armature  # no mass: see stepping_spec
             mujoco.mj_jacSite(model, data, tip[i], None, tip_site)
             bias[i], passive[i], velocity[i] = data.qfrc_bias, data.qfrc_passive, data.qvel
             cables[i], length[i] = _dense_tendon_jacobian(model, data), data.ten_length
-        # MuJoCo's base angular velocity is in the base frame: v_body = R^T v_world. The rate of R^T does not
-        # matter to the bias, because a body's own rotation leaves its angular velocity vector unchanged.
+        # MuJoCo's base angular velocity is in the base frame: v_body = R^T v_world. The rate of R^T
+        # has no part in the bias, because the rotation of a body leaves its angular velocity
+        # unchanged.
         turn = rotation_matrix(self._qpos[chosen, 3:7])
         velocity[:, 3:6] = np.einsum("nij,nj->ni", turn, velocity[:, 3:6])
         bias[:, 3:6] = np.einsum("nij,nj->ni", turn, bias[:, 3:6])
@@ -200,20 +198,16 @@ class MujocoSimulation(Simulation):
         if renderer is None:
             try:
                 renderer = self._renderer = mujoco.Renderer(self.model, 480, 640)
-            except (
-                Exception
-            ) as error:  # each GL platform fails in its own way, none with a common type
+            except Exception as error:  # every GL platform raises another type
                 raise CdcsrError(
-                    "MuJoCo cannot draw here: it found no OpenGL (set MUJOCO_GL to egl, osmesa or glfw, or draw "
-                    f"with the pybullet engine, which needs none). [{type(error).__name__}]"
+                    "MuJoCo cannot draw here: it found no OpenGL (set MUJOCO_GL to egl, osmesa or "
+                    "glfw, or draw with the pybullet engine, which needs none). "
+                    f"[{type(error).__name__}]"
                 ) from None
         view = mujoco.MjvCamera()
         view.lookat[:] = self.model.stat.center
-        view.distance, view.azimuth, view.elevation = (
-            1.6 * self.model.stat.extent,
-            azimuth + 90,
-            elevation,
-        )
+        view.distance, view.azimuth = 1.6 * self.model.stat.extent, azimuth + 90
+        view.elevation = elevation
         self._scratch.qpos = self._qpos[index]
         mujoco.mj_forward(self.model, self._scratch)
         renderer.update_scene(self._scratch, view)

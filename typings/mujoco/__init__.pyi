@@ -1,4 +1,338 @@
-# MuJoCo's compiled modules ship without type information; to a type checker everything in them is Any.
-from typing import Any
+# MuJoCo's compiled modules ship without types. Here are the parts that this project uses, as in
+# MuJoCo 3.17; a test checks that each name is there. What is missing here is an error to a type
+# checker: add it.
 
-def __getattr__(name: str) -> Any: ...
+from collections.abc import Sequence
+from typing import ClassVar, Self
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+_Floats = NDArray[np.float64]
+_Ints = NDArray[np.int32]
+
+class _Enum:
+    def __int__(self) -> int: ...
+
+class mjtDisableBit(_Enum):
+    mjDSBL_CONTACT: ClassVar[Self]
+    mjDSBL_GRAVITY: ClassVar[Self]
+    mjDSBL_CLAMPCTRL: ClassVar[Self]
+    mjDSBL_AUTORESET: ClassVar[Self]
+    mjDSBL_EULERDAMP: ClassVar[Self]
+
+class mjtEq(_Enum):
+    mjEQ_TENDON: ClassVar[Self]
+
+class mjtGeom(_Enum):
+    mjGEOM_SPHERE: ClassVar[Self]
+    mjGEOM_CYLINDER: ClassVar[Self]
+    mjGEOM_BOX: ClassVar[Self]
+    mjGEOM_MESH: ClassVar[Self]
+
+class mjtIntegrator(_Enum):
+    mjINT_EULER: ClassVar[Self]
+    mjINT_IMPLICIT: ClassVar[Self]
+    mjINT_IMPLICITFAST: ClassVar[Self]
+
+class mjtJacobian(_Enum):
+    mjJAC_DENSE: ClassVar[Self]
+    mjJAC_SPARSE: ClassVar[Self]
+
+class mjtJoint(_Enum):
+    mjJNT_HINGE: ClassVar[Self]
+    mjJNT_SLIDE: ClassVar[Self]
+
+class mjtLightType(_Enum):
+    mjLIGHT_DIRECTIONAL: ClassVar[Self]
+
+class mjtLimited(_Enum):
+    mjLIMITED_FALSE: ClassVar[Self]
+    mjLIMITED_TRUE: ClassVar[Self]
+
+class mjtObj(_Enum):
+    mjOBJ_XBODY: ClassVar[Self]
+    mjOBJ_SITE: ClassVar[Self]
+    mjOBJ_TENDON: ClassVar[Self]
+
+class mjtSensor(_Enum):
+    mjSENS_FRAMEPOS: ClassVar[Self]
+    mjSENS_FRAMELINVEL: ClassVar[Self]
+    mjSENS_FRAMEANGVEL: ClassVar[Self]
+
+class mjtSolver(_Enum):
+    mjSOL_PGS: ClassVar[Self]
+    mjSOL_CG: ClassVar[Self]
+    mjSOL_NEWTON: ClassVar[Self]
+
+class mjtStage(_Enum):
+    mjSTAGE_NONE: ClassVar[Self]
+    mjSTAGE_VEL: ClassVar[Self]
+
+class mjtState(_Enum):
+    mjSTATE_INTEGRATION: ClassVar[Self]
+
+class mjtTrn(_Enum):
+    mjTRN_JOINT: ClassVar[Self]
+
+# -- the specification of a model ------------------------------------------------------------------
+
+class MjOption:
+    timestep: float
+    # MuJoCo returns an array and takes any three numbers, here as in all fields below.
+    @property
+    def gravity(self) -> _Floats: ...
+    @gravity.setter
+    def gravity(self, value: ArrayLike) -> None: ...
+    integrator: int | mjtIntegrator
+    solver: int | mjtSolver
+    disableflags: int
+    iterations: int
+    tolerance: float
+    jacobian: int | mjtJacobian
+
+class MjsCompiler:
+    degree: bool
+
+class MjStatistic:
+    extent: float
+    @property
+    def center(self) -> _Floats: ...
+    @center.setter
+    def center(self, value: ArrayLike) -> None: ...
+
+class _Headlight:
+    @property
+    def ambient(self) -> _Floats: ...
+    @ambient.setter
+    def ambient(self, value: ArrayLike) -> None: ...
+
+class MjVisual:
+    headlight: _Headlight
+
+class _MjsElement:
+    name: str
+
+class MjsGeom(_MjsElement): ...
+class MjsSensor(_MjsElement): ...
+class MjsLight(_MjsElement): ...
+class MjsMesh(_MjsElement): ...
+
+class MjsSite(_MjsElement):
+    pos: _Floats
+
+class MjsEquality(_MjsElement):
+    active: bool
+
+class _Limited(_MjsElement):
+    limited: mjtLimited
+    @property
+    def range(self) -> _Floats: ...
+    @range.setter
+    def range(self, value: ArrayLike) -> None: ...
+    @property
+    def solref_limit(self) -> _Floats: ...
+    @solref_limit.setter
+    def solref_limit(self, value: ArrayLike) -> None: ...
+    @property
+    def solimp_limit(self) -> _Floats: ...
+    @solimp_limit.setter
+    def solimp_limit(self, value: ArrayLike) -> None: ...
+
+class MjsJoint(_Limited):
+    type: mjtJoint
+    armature: float
+    damping: _Floats
+    stiffness: _Floats
+
+class MjsTendon(_Limited):
+    def wrap_site(self, name: str) -> object: ...
+    def wrap_pulley(self, divisor: float) -> object: ...
+
+class MjsActuator(_MjsElement):
+    def set_to_position(self, kp: float) -> None: ...
+
+class MjsBody(_MjsElement):
+    pos: _Floats
+    def add_body(
+        self,
+        *,
+        name: str = ...,
+        pos: ArrayLike = ...,
+        mass: float = ...,
+        inertia: ArrayLike = ...,
+        ipos: ArrayLike = ...,
+        explicitinertial: bool = ...,
+    ) -> MjsBody: ...
+    def add_freejoint(self, *, name: str = ...) -> MjsJoint: ...
+    def add_joint(
+        self,
+        *,
+        name: str = ...,
+        type: mjtJoint = ...,
+        axis: ArrayLike = ...,
+        damping: float = ...,
+        stiffness: float = ...,
+        limited: mjtLimited = ...,
+        range: ArrayLike = ...,
+    ) -> MjsJoint: ...
+    def add_geom(
+        self,
+        *,
+        type: mjtGeom = ...,
+        size: ArrayLike = ...,
+        pos: ArrayLike = ...,
+        meshname: str = ...,
+        rgba: ArrayLike = ...,
+        contype: int = ...,
+        conaffinity: int = ...,
+        density: float = ...,
+        group: int = ...,
+    ) -> MjsGeom: ...
+    def add_site(
+        self,
+        *,
+        name: str = ...,
+        pos: ArrayLike = ...,
+        size: ArrayLike = ...,
+        rgba: ArrayLike = ...,
+    ) -> MjsSite: ...
+    def add_light(
+        self, *, pos: ArrayLike = ..., dir: ArrayLike = ..., type: mjtLightType = ...
+    ) -> MjsLight: ...
+
+class MjSpec:
+    modelname: str
+    modelfiledir: str
+    compiler: MjsCompiler
+    option: MjOption
+    stat: MjStatistic
+    visual: MjVisual
+    worldbody: MjsBody
+    bodies: list[MjsBody]
+    geoms: list[MjsGeom]
+    joints: list[MjsJoint]
+    sensors: list[MjsSensor]
+    sites: list[MjsSite]
+    tendons: list[MjsTendon]
+    equalities: list[MjsEquality]
+    def __init__(self) -> None: ...
+    def add_mesh(self, *, name: str = ..., file: str = ...) -> MjsMesh: ...
+    def add_tendon(
+        self,
+        *,
+        name: str = ...,
+        limited: mjtLimited = ...,
+        range: ArrayLike = ...,
+        solref_limit: ArrayLike = ...,
+        solimp_limit: ArrayLike = ...,
+        width: float = ...,
+        rgba: ArrayLike = ...,
+    ) -> MjsTendon: ...
+    def add_equality(
+        self,
+        *,
+        name: str = ...,
+        type: mjtEq = ...,
+        objtype: mjtObj = ...,
+        name1: str = ...,
+        active: bool = ...,
+        solref: ArrayLike = ...,
+        solimp: ArrayLike = ...,
+    ) -> MjsEquality: ...
+    def add_actuator(
+        self,
+        *,
+        name: str = ...,
+        trntype: mjtTrn = ...,
+        target: str = ...,
+        ctrllimited: mjtLimited = ...,
+    ) -> MjsActuator: ...
+    def add_sensor(
+        self, *, name: str = ..., type: mjtSensor = ..., objtype: mjtObj = ..., objname: str = ...
+    ) -> MjsSensor: ...
+    def tendon(self, name: str) -> MjsTendon: ...
+    def delete(self, element: _MjsElement) -> None: ...
+    def compile(self) -> MjModel: ...
+    def to_xml(self) -> str: ...
+
+# -- a model, its data, and functions --------------------------------------------------------------
+
+class _NamedInModel:
+    """One element of a model; which of these fields there are depends on its kind."""
+
+    id: int
+    mass: _Floats
+    inertia: _Floats
+    iquat: _Floats
+    subtreemass: _Floats
+    stiffness: _Floats
+    damping: _Floats
+    range: _Floats
+    gainprm: _Floats
+    biasprm: _Floats
+
+class MjModel:
+    nv: int
+    nbody: int
+    ntendon: int
+    opt: MjOption
+    stat: MjStatistic
+    dof_armature: _Floats
+    tendon_length0: _Floats
+    tendon_range: _Floats
+    ten_J_rownnz: _Ints
+    ten_J_rowadr: _Ints
+    ten_J_colind: _Ints
+    def body(self, name: int | str) -> _NamedInModel: ...
+    def joint(self, name: int | str) -> _NamedInModel: ...
+    def site(self, name: int | str) -> _NamedInModel: ...
+    def actuator(self, name: int | str) -> _NamedInModel: ...
+
+class _NamedInData:
+    """One element of a model's data; which of these fields there are depends on its kind."""
+
+    xpos: _Floats
+    xipos: _Floats
+
+class MjData:
+    model: MjModel
+    qpos: _Floats
+    qvel: _Floats
+    qfrc_bias: _Floats
+    qfrc_passive: _Floats
+    subtree_com: _Floats
+    ten_length: _Floats
+    ten_J: _Floats
+    def __init__(self, model: MjModel) -> None: ...
+    def body(self, name: int | str) -> _NamedInData: ...
+    def site(self, name: int | str) -> _NamedInData: ...
+
+def mj_forward(m: MjModel, d: MjData) -> None: ...
+def mj_kinematics(m: MjModel, d: MjData) -> None: ...
+def mj_fwdPosition(m: MjModel, d: MjData) -> None: ...
+def mj_fwdVelocity(m: MjModel, d: MjData) -> None: ...
+def mj_fullM(m: MjModel, d: MjData, dst: _Floats) -> None: ...
+def mj_jacSite(
+    m: MjModel, d: MjData, jacp: _Floats | None, jacr: _Floats | None, site: int
+) -> None: ...
+def mj_getState(m: MjModel, d: MjData, state: _Floats, sig: int) -> None: ...
+def mj_setState(m: MjModel, d: MjData, state: _Floats, sig: int) -> None: ...
+def mju_sparse2dense(
+    res: _Floats, mat: _Floats, rownnz: _Ints, rowadr: _Ints, colind: _Ints
+) -> None: ...
+
+# -- pictures --------------------------------------------------------------------------------------
+
+class MjvCamera:
+    lookat: _Floats
+    distance: float
+    azimuth: float
+    elevation: float
+    def __init__(self) -> None: ...
+
+class Renderer:
+    def __init__(self, model: MjModel, height: int = 240, width: int = 320) -> None: ...
+    def update_scene(self, data: MjData, camera: int | str | MjvCamera = -1) -> None: ...
+    def render(self) -> NDArray[np.uint8]: ...
+    def close(self) -> None: ...
