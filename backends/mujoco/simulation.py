@@ -12,7 +12,15 @@ from backends.mujoco.copies import write_plant
 from backends.mujoco.model import build_spec, use_own_softness
 from cdcsr.errors import CdcsrError, Diverged
 from cdcsr.robot.description import Robot
-from cdcsr.simulation.contract import CAMERAS, Array, Dynamics, Ids, Simulation, Snapshot, State
+from cdcsr.simulation.contract import (
+    Array,
+    Dynamics,
+    Ids,
+    Simulation,
+    Snapshot,
+    State,
+    camera_angles,
+)
 from cdcsr.simulation.engines import processors
 from cdcsr.simulation.plant import Plant
 from cdcsr.simulation.rotations import rotation_matrix
@@ -193,7 +201,7 @@ class MujocoSimulation(Simulation):
         return Dynamics(mass, bias, passive, tip, cables, velocity, length)
 
     def render(self, index: int = 0, camera: str = "side") -> NDArray[np.uint8]:
-        azimuth, elevation = CAMERAS[camera]
+        azimuth, elevation = camera_angles(camera)
         renderer = self._renderer
         if renderer is None:
             try:

@@ -16,11 +16,10 @@ from trimesh.visual import ColorVisuals
 
 from backends.pybullet.client import connect
 from backends.pybullet.dynamics import Frames, chain, forward_kinematics
-from cdcsr.errors import CdcsrError, unknown_choice
 from cdcsr.robot.description import Robot
 from cdcsr.robot.meshes import visual_meshes
 from cdcsr.robot.routing import routing
-from cdcsr.simulation.contract import CAMERAS
+from cdcsr.simulation.contract import camera_angles
 
 Array = NDArray[np.float64]
 
@@ -84,8 +83,6 @@ class Renderer:
         Raises:
             CdcsrError: no such camera.
         """
-        if camera not in CAMERAS:
-            raise CdcsrError(unknown_choice("camera", camera, CAMERAS))
         self._pose(np.asarray(position, dtype=float))
         self._mark(np.asarray(targets, dtype=float).reshape(-1, 3))
         height, width = (_OVERSAMPLING * side for side in size)
@@ -207,7 +204,7 @@ def _coloured(mesh: trimesh.Trimesh, color: tuple[int, ...]) -> trimesh.Trimesh:
 
 def _look(camera: str, center: Array, span: float) -> tuple[list[float], list[float], float]:
     """View matrix, direction towards the light, which stands above the camera's shoulder, and the eye's distance."""
-    azimuth, elevation = np.deg2rad(CAMERAS[camera])
+    azimuth, elevation = np.deg2rad(camera_angles(camera))
     flat = np.array([np.sin(azimuth), -np.cos(azimuth), 0.0])
     toward_eye = np.cos(elevation) * flat - np.sin(elevation) * np.array([0.0, 0.0, 1.0])
     distance = span / 2 / np.tan(np.deg2rad(_FIELD_OF_VIEW) / 2)

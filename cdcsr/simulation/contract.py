@@ -15,7 +15,7 @@ from typing import ClassVar, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from cdcsr.errors import CdcsrError, Diverged
+from cdcsr.errors import CdcsrError, Diverged, unknown_choice
 from cdcsr.robot.description import Robot
 from cdcsr.simulation.delay_line import DelayLine
 from cdcsr.simulation.plant import Parameters, Plant
@@ -258,7 +258,7 @@ class Simulation(ABC):
             camera: a name in :data:`CAMERAS`.
 
         Raises:
-            CdcsrError: the engine cannot draw here.
+            CdcsrError: there is no such camera, or the engine cannot draw here.
         """
 
     @abstractmethod
@@ -299,3 +299,14 @@ CAMERAS: dict[str, tuple[float, float]] = {
 }
 """Named views: azimuth around z from the y axis and elevation, in degrees. All look at the middle
 of the robot."""
+
+
+def camera_angles(name: str) -> tuple[float, float]:
+    """Return the azimuth and the elevation of a named view, in degrees; see :data:`CAMERAS`.
+
+    Raises:
+        CdcsrError: there is no view of that name.
+    """
+    if name not in CAMERAS:
+        raise CdcsrError(unknown_choice("camera", name, CAMERAS))
+    return CAMERAS[name]

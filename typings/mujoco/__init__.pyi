@@ -2,7 +2,6 @@
 # MuJoCo 3.17; a test checks that each name is there. What is missing here is an error to a type
 # checker: add it.
 
-from collections.abc import Sequence
 from typing import ClassVar, Self
 
 import numpy as np

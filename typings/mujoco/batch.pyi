@@ -1,9 +1,8 @@
 # The part of `mujoco.batch` that this project uses; see __init__.pyi.
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
-
 from mujoco import MjModel
+from numpy.typing import ArrayLike, NDArray
 
 class Batch:
     model: MjModel

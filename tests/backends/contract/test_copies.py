@@ -99,3 +99,11 @@ def test_commands_that_are_no_numbers_are_refused(paper: Robot, engine: str) -> 
         with pytest.raises(CdcsrError, match="Commands must be finite; that of copy 1"):
             simulation.step(commands)
         same(simulation.state(), before, "mujoco")
+
+
+def test_an_unknown_camera_is_an_error(paper: Robot, engine: str) -> None:
+    with (
+        running(paper, engine) as simulation,
+        pytest.raises(CdcsrError, match=r"Unknown camera 'sid'\. Did you mean 'side'"),
+    ):
+        simulation.render(camera="sid")
