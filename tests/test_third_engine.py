@@ -10,7 +10,7 @@ import pytest
 from cdcsr.robot.description import load_robot
 from cdcsr.simulation.engines import backend_names, engine_title, make_simulation
 from controllers.jacobian import JacobianController
-from training.bench.sections import Benchmarks
+from training.bench.sections import run_sections
 from training.commands.build_model import build_model
 from training.commands.parity import parity
 from training.study.declare.run_spec import RunSpec
@@ -58,9 +58,9 @@ def test_bench_measures_it(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """Its own section, and its row in a section of all engines."""
-    monkeypatch.setattr("training.bench.sections.memory_per_copy", lambda *_: 1.5)
+    monkeypatch.setattr("training.bench.memory.memory_per_copy", lambda *_: 1.5)
     file = tmp_path / "bench.json"
-    Benchmarks().run(("third-own", "memory"), file)
+    run_sections(("third-own", "memory"), file, plot=None, peers=None)
     found = json.loads(file.read_text())
     assert found["third_copies"] == 8
     assert "a line" in capsys.readouterr().out

@@ -24,8 +24,8 @@ class Measurement:
 
     name: str
     """The key of the value in the JSON file."""
-    value: float
-    """A ratio, or a quantity whose unit `what` tells."""
+    value: float | None
+    """A ratio, or a quantity whose unit `what` tells; None if it could not be measured."""
     what: str
     """What was measured, in one line."""
     floor: str = ""

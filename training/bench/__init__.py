@@ -1,1 +1,1 @@
-"""Speed and memory, as ratios."""
+"""The measurements of `cdcsr bench`."""

@@ -1,26 +1,17 @@
-"""Steps per second of one arm in each engine, and beside them the nearest arms of other projects."""
+"""How fast one arm is simulated in each engine, beside the nearest arms of other projects."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Iterator
+from dataclasses import asdict, dataclass
 
 import numpy as np
 
 from cdcsr.robot.description import Robot
+from cdcsr.simulation.benchmarks import Measurement
 from cdcsr.simulation.engines import backend_names, engine_title
+from training.bench.growth import step_seconds
 from training.bench.peer_process import MissingPeer, Peer
-from training.bench.scaling import step_seconds
-
-SOFTROBOT_ARMS = {
-    "TendonArmReach-v1": "gym-softrobot: Cosserat rod of 25 elements on a fixed base, 12 tendons whose tensions are"
-    " commanded; 1111 steps of 30 us for each command",
-    "SoftArmTracking-v0": "gym-softrobot: Cosserat rod of 40 elements on a fixed base, commanded by muscle torques;"
-    " 50 steps of 200 us for each command",
-}
-_STEPS_A_COMMAND = {"TendonArmReach-v1": (1111, 3e-5), "SoftArmTracking-v0": (50, 2e-4)}
-_INSTALL = (
-    "not measured: pip install gym-softrobot, here or for another interpreter given by --peers"
-)
 
 _SOFTROBOT = """
 import warnings
@@ -34,13 +25,46 @@ def run(commands):
         _, _, terminated, truncated, _ = env.step(env.action_space.sample())
         if terminated or truncated:
             env.reset()
-run(1)  # compiles
+run(1)  # the first command compiles
 """
+_INSTALL = (
+    "not measured: pip install gym-softrobot, here or for another interpreter given by --peers"
+)
 
 
 @dataclass(frozen=True)
-class Arm:
-    """One row of the table: physics steps and simulated time, per second of one processor."""
+class SoftrobotArm:
+    """An arm of gym-softrobot."""
+
+    name: str
+    what: str
+    steps: int
+    """Physics steps for each command."""
+    time_step: float
+    """Length of a physics step in [s]."""
+
+
+SOFTROBOT_ARMS = (
+    SoftrobotArm(
+        "TendonArmReach-v1",
+        "gym-softrobot: Cosserat rod of 25 elements on a fixed base, 12 tendons whose tensions are"
+        " commanded; 1111 steps of 30 us for each command",
+        1111,
+        3e-5,
+    ),
+    SoftrobotArm(
+        "SoftArmTracking-v0",
+        "gym-softrobot: Cosserat rod of 40 elements on a fixed base, commanded by muscle torques;"
+        " 50 steps of 200 us for each command",
+        50,
+        2e-4,
+    ),
+)
+
+
+@dataclass(frozen=True)
+class Speed:
+    """One row of the table: the speed of an arm on one processor."""
 
     name: str
     what: str
@@ -49,28 +73,49 @@ class Arm:
     simulated_seconds_per_second: float | None = None
 
 
-def arms(robot: Robot, python: str, steps: int = 400, rounds: int = 5) -> list[Arm]:
-    """One copy of our robot in each engine, and gym-softrobot's arms.
+def arms(robot: Robot, python: str) -> Iterator[Measurement]:
+    """Measure one copy of the robot in each engine, and the arms of gym-softrobot.
+
+    The value is the simulated time per second of the first engine; the table has all of them.
 
     Args:
         robot: the description.
-        python: an interpreter that has gym-softrobot, if any.
-        steps: of each turn.
-        rounds: turns of each; medians.
+        python: an interpreter that may have gym-softrobot.
     """
-    what = f"{robot.num_hinges} hinges and {robot.num_cables} cables on a free base, servo set-points commanded"
-    rows = []
+    rows = [*own_speeds(robot), *(softrobot_speed(arm, python) for arm in SOFTROBOT_ARMS)]
+    table = ["physics steps/s   simulated s/s"]
+    for row in rows:
+        speed, simulated = row.steps_per_second, row.simulated_seconds_per_second
+        numbers = (
+            f"{'-':>15}   {'-':>13}" if speed is None else f"{speed:15,.0f}   {simulated:13.2f}"
+        )
+        table.append(f"{numbers}   {row.name}: {row.what}")
+    yield Measurement(
+        "arm_speed",
+        rows[0].simulated_seconds_per_second,
+        f"{rows[0].name}: simulated seconds per second, one copy on one processor",
+        lines=tuple(table),
+        details={"arms": [asdict(row) for row in rows]},
+    )
+
+
+def own_speeds(robot: Robot, steps: int = 400, rounds: int = 5) -> Iterator[Speed]:
+    """Measure one copy of a robot in each engine; medians over the rounds."""
+    what = (
+        f"{robot.num_hinges} hinges and {robot.num_cables} cables on a free base,"
+        " servo set-points commanded"
+    )
     for engine in backend_names():
         seconds = step_seconds(robot, engine, 1, steps, rounds, read=True)
-        title = f"ours, {engine_title(engine)}"
-        rows.append(Arm(title, what, 1 / seconds, robot.time_step / seconds))
-    for name, what in SOFTROBOT_ARMS.items():
-        count, step = _STEPS_A_COMMAND[name]
-        try:
-            with Peer(_SOFTROBOT.format(name=name), python) as peer:
-                seconds = float(np.median([peer.run(2)[1] / 2 for _ in range(rounds)])) / count
-        except MissingPeer as missing:
-            rows.append(Arm(name, f"{_INSTALL} ({missing})"))
-        else:
-            rows.append(Arm(name, what, 1 / seconds, step / seconds))
-    return rows
+        name = f"ours, {engine_title(engine)}"
+        yield Speed(name, what, 1 / seconds, robot.time_step / seconds)
+
+
+def softrobot_speed(arm: SoftrobotArm, python: str, rounds: int = 5) -> Speed:
+    """Measure an arm of gym-softrobot, if the interpreter has it; median over the rounds."""
+    try:
+        with Peer(_SOFTROBOT.format(name=arm.name), python) as peer:
+            seconds = float(np.median([peer.run(2)[1] / 2 for _ in range(rounds)])) / arm.steps
+    except MissingPeer as missing:
+        return Speed(arm.name, f"{_INSTALL} ({missing})")
+    return Speed(arm.name, arm.what, 1 / seconds, arm.time_step / seconds)

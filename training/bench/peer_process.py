@@ -1,6 +1,6 @@
-"""Work of other projects, each in a process of its own, so that one may need what another cannot have.
+"""Other projects' code, run in processes of its own so that it can be timed beside ours.
 
-A peer need not be installed beside this project: it may be in another environment, whose interpreter is named.
+A peer need not be installed in this environment: another environment's interpreter can be named.
 """
 
 from __future__ import annotations
@@ -33,51 +33,51 @@ _ONE_THREAD = {
 
 
 class MissingPeer(CdcsrError):
-    """A package to compare with is not installed; the message is what the import said."""
+    """A package to compare with is not installed; the message is that of the failed import."""
 
 
 class Peer:
-    """A process that does so much of its work when asked, and says what that took.
+    """A process that does an amount of work on request and returns the time it took.
 
     Args:
-        setup: Python that defines `run(count)`.
-        python: its interpreter.
+        setup: Python code that defines `run(count)`.
+        python: the interpreter.
 
     Raises:
-        MissingPeer: the interpreter does not have a package that `setup` imports.
+        MissingPeer: the interpreter lacks a package that `setup` imports.
         CdcsrError: there is no such interpreter, or `setup` fails.
     """
 
     def __init__(self, setup: str, python: str = sys.executable) -> None:
-        self._complaints = tempfile.TemporaryFile("w+")  # noqa: SIM115 (lives as long as the process)
+        self._errors = tempfile.TemporaryFile("w+")  # noqa: SIM115 (open while the process lives)
         try:
             self._process = subprocess.Popen(
                 [python, "-c", _LOOP.format(setup=setup)],
                 stdin=subprocess.PIPE,
                 stdout=subprocess.PIPE,
-                stderr=self._complaints,
+                stderr=self._errors,
                 text=True,
                 env=os.environ | _ONE_THREAD,
             )
         except OSError as error:
-            self._complaints.close()
+            self._errors.close()
             raise CdcsrError(
                 f"{python} cannot be started ({error.strerror}); name a Python interpreter."
             ) from None
         line = self._read()
-        while line and line.strip() != "ready":  # packages may greet
+        while line and line.strip() != "ready":  # packages may print a greeting
             line = self._read()
         if not line:
             self._fail()
 
     def start(self, count: int) -> None:
-        """Ask for so much work."""
+        """Ask for an amount of work."""
         assert self._process.stdin is not None
         self._process.stdin.write(f"{count}\n")
         self._process.stdin.flush()
 
-    def taken(self) -> tuple[float, float]:
-        """Wait for what was asked for; wall time and processor time of the whole process, in [s]."""
+    def wait(self) -> tuple[float, float]:
+        """Wait for the work; return its wall time and the processor time of the process, in [s]."""
         line = self._read()
         if not line:
             self._fail()
@@ -85,14 +85,14 @@ class Peer:
         return float(wall), float(own)
 
     def run(self, count: int) -> tuple[float, float]:
-        """Do so much work; wall time and processor time, in [s]."""
+        """Do an amount of work; return wall time and processor time, in [s]."""
         self.start(count)
-        return self.taken()
+        return self.wait()
 
     def close(self) -> None:
         """End the process."""
         self._process.communicate()
-        self._complaints.close()
+        self._errors.close()
 
     def _read(self) -> str:
         assert self._process.stdout is not None
@@ -100,12 +100,12 @@ class Peer:
 
     def _fail(self) -> None:
         self._process.wait()
-        self._complaints.seek(0)
-        last = (self._complaints.read().strip().splitlines() or ["it ended without a word"])[-1]
+        self._errors.seek(0)
+        last = (self._errors.read().strip().splitlines() or ["it ended without a message"])[-1]
         self.close()
         if last.startswith("ModuleNotFoundError: "):
             raise MissingPeer(last.removeprefix("ModuleNotFoundError: "))
-        raise CdcsrError(f"A program to compare with has failed: {last}")
+        raise CdcsrError(f"A program to compare with failed: {last}")
 
     def __enter__(self) -> Self:
         return self

@@ -1,152 +1,165 @@
-"""What an update costs, as a ratio against another implementation and against bare matrix products."""
+"""How fast the learners update, against other projects and against bare matrix products."""
 
 from __future__ import annotations
 
 import contextlib
 import time
-from collections.abc import Callable
-from dataclasses import replace
-from itertools import pairwise
-from typing import Any
+from collections.abc import Callable, Iterator, Mapping
 
 import numpy as np
 import torch
-from numpy.typing import NDArray
 
-from cdcsr.robot.description import Robot, load_robot
-from cdcsr.tasks.catalogue import make_task
+from cdcsr.robot.description import Robot
+from cdcsr.simulation.benchmarks import Measurement
 from cdcsr.tasks.observation import observation_size
-from training.algorithms.registry import ALGORITHMS
 from training.bench.peer_process import MissingPeer, Peer
-from training.config.run_config import Learner, learner_for
-from training.experience.collector import FinishedEpisode
-from training.experience.mixed_replay import MixedReplay
-from training.networks.bfloat16 import has_fast_bfloat16, matrix_products
+from training.bench.timed_updates import (
+    PRODUCT_SIZE,
+    PRODUCTS,
+    SBX,
+    Updates,
+    matrix_products,
+    own_updates,
+    stable_baselines_updates,
+    update_flops,
+)
+from training.config.run_config import Learner
+from training.networks import bfloat16
+from training.plots.style import algorithm_title
 
-_PRODUCTS = 50
-"""Matrix products timed for every update: about as many operations."""
-OWN = ("batd3", "td3", "clasp")
+TIMED = ("batd3", "td3", "clasp")
 """Algorithms whose updates are timed."""
-_BFLOAT16 = "_bfloat16"
+OTHERS, OTHERS_JAX, PRODUCT = "stable_baselines3", "sbx", "product"
+BFLOAT16 = "_bfloat16"
 """Ends the name of what is timed with products in bfloat16."""
-_OURS = """
-from training.bench.trainer_speed import own_updates
-run = own_updates()
-"""
-_SBX = """
-import gymnasium, numpy, sbx
-class Blank(gymnasium.Env):
-    observation_space = gymnasium.spaces.Box(-1, 1, ({observation},), numpy.float32)
-    action_space = gymnasium.spaces.Box(-1, 1, ({action},), numpy.float32)
-    def reset(self, **_):
-        return numpy.zeros({observation}, numpy.float32), dict()
-model = sbx.TD3("MlpPolicy", Blank(), learning_rate=1e-4, buffer_size=2000, batch_size=256,
-                policy_kwargs=dict(net_arch=[256, 256, 256], n_critics=5))
-model._setup_learn(1_000_000)
-draw = numpy.random.default_rng(0)
-for _ in range(1000):
-    observation, following = draw.normal(size=(2, 1, {observation}))
-    action = draw.uniform(-1, 1, (1, {action}))
-    model.replay_buffer.add(observation, following, action, numpy.zeros(1), numpy.zeros(1), [dict()])
-def run(updates):
-    model.train(updates, 256)
-"""
+_OURS = "from training.bench.timed_updates import own_updates\nrun = own_updates()"
 
 
-def update_speed(python: str, updates: int = 4, rounds: int = 40) -> dict[str, Any]:
-    """Updates per second of BATD3, TD3 and CLASP with the paper's numbers (E = 5, Z = 2, 3 x 256, batch 256), and of
-    other TD3s.
-
-    Stable-baselines3 (a development dependency) and SBX (its sibling in JAX, optional) with n_critics = 5 and the same
-    networks, all on random data of the paper's sizes, each in one thread, taking turns; medians over the rounds. An
-    update includes drawing its batch. Where the processor multiplies faster in bfloat16, our updates and those of
-    stable-baselines3 are timed that way as well. Times are the processor's, so that what other jobs do counts as little
-    as it can.
+def trainer(robot: Robot, python: str) -> Iterator[Measurement]:
+    """Measure the updates of our learners.
 
     Args:
-        python: an interpreter that has sbx-rl, if any; it runs in a process of its own.
-        updates: in each turn; even, so that each turn has as many updates of the actor.
+        robot: the description.
+        python: an interpreter that may have sbx-rl.
+    """
+    yield from compare_speeds(update_seconds(robot, python), update_flops(Learner(), robot))
+    what = "speed of a run's updates with another run beside it over alone"
+    yield Measurement("side_by_side", side_by_side(), what)
+
+
+def update_seconds(
+    robot: Robot, python: str, updates: int = 4, rounds: int = 40
+) -> dict[str, float]:
+    """Return the processor time in [s] of an update of each learner, medians over the rounds.
+
+    Ours have the paper's numbers (E = 5, Z = 2, 3 x 256, batch 256). The others are the TD3 of
+    stable-baselines3 (a development dependency) and of SBX (optional), with five critics and the
+    same networks. All learn from random data, in one thread, and take turns. An update includes the
+    drawing of its batch. Where the processor multiplies faster in bfloat16, ours and those of
+    stable-baselines3 are also timed that way.
+
+    Args:
+        robot: the description.
+        python: an interpreter that may have sbx-rl; it runs in a process of its own.
+        updates: updates in each turn; an even number, so that each turn updates the actor as often.
         rounds: turns of each.
 
     Returns:
-        `updates_per_second` of ours, by algorithm, and `stable_baselines3_updates_per_second` and
-        `sbx_updates_per_second` (None where there is no SBX); by algorithm in `ratio` and `sbx_ratio` ours to theirs;
-        `product_gflops`, the rate of a 256 x 256 matrix product, over and over in the cache; `share_of_product_rate`,
-        at which part of that rate our whole update runs, of BATD3. The same in `bfloat16`, of ours and of
-        stable-baselines3 with products in bfloat16 (None where that is no faster): `ratio`, `sbx_ratio` and
-        `share_of_product_rate` there are still to the others and to the product in float32; `like_for_like` and
-        `share_of_own_product_rate` are to those in bfloat16.
+        Times by name: algorithms, "stable_baselines3", "sbx" if it is there, and "product", the
+        matrix products timed for an update. Names of what is timed in bfloat16 end in "_bfloat16".
     """
     torch.set_num_threads(1)
-    robot = load_robot("paper")
-    others = _stable_baselines()
+    others, product = stable_baselines_updates(), matrix_products()
     turns: dict[str, Callable[[int], float]] = {
-        **{name: _own_time(own_updates(name)) for name in OWN},
-        "stable_baselines3": _own_time(others),
-        "product": _own_time(_matrix_product()),
+        **{name: _timed(own_updates(name)) for name in TIMED},
+        OTHERS: _timed(others),
+        PRODUCT: _timed(product),
     }
-    if has_fast_bfloat16():
-        turns |= {name + _BFLOAT16: _own_time(own_updates(name, bfloat16=True)) for name in OWN}
-        turns["stable_baselines3" + _BFLOAT16] = _own_time(_in_bfloat16(others))
-        turns["product" + _BFLOAT16] = _own_time(_in_bfloat16(_matrix_product()))
+    if bfloat16.has_fast_bfloat16():
+        turns |= {name + BFLOAT16: _timed(own_updates(name, bfloat16=True)) for name in TIMED}
+        turns[OTHERS + BFLOAT16] = _timed(in_bfloat16(others))
+        turns[PRODUCT + BFLOAT16] = _timed(in_bfloat16(product))
     with contextlib.ExitStack() as stack:
         with contextlib.suppress(MissingPeer):
-            setup = _SBX.format(observation=observation_size(robot), action=robot.num_cables)
+            setup = SBX.format(observation=observation_size(robot), action=robot.num_cables)
             sbx = stack.enter_context(Peer(setup, python))
-            turns["sbx"] = lambda count: sbx.run(count)[1]
+            turns[OTHERS_JAX] = lambda count: sbx.run(count)[1]
         times: dict[str, list[float]] = {name: [] for name in turns}
         for turn in range(rounds + 1):
             for name, function in turns.items():
                 taken = function(updates)
                 if turn:  # the first turn only warms up
                     times[name].append(taken / updates)
-    return speeds(
-        {name: float(np.median(values)) for name, values in times.items()},
-        update_flops(Learner(), robot),
+    return {name: float(np.median(values)) for name, values in times.items()}
+
+
+def compare_speeds(seconds: Mapping[str, float], flops: float) -> Iterator[Measurement]:
+    """Compare the updates' speeds with those of the others, and with that of bare products.
+
+    Args:
+        seconds: what :func:`update_seconds` returns.
+        flops: floating-point operations in the matrix products of a BATD3 update.
+    """
+    size = "E = 5, 3 x 256, batch 256"
+    details = {"update_seconds": dict(seconds), "update_flops": flops}
+    yield from _compare("", f"({size})", "", seconds, flops, details)
+    if TIMED[0] + BFLOAT16 not in seconds:
+        what = "updates with products in bfloat16, which are no faster on this processor"
+        yield Measurement("update_share_bfloat16", None, what)
+        return
+    ours = {name: seconds[name + BFLOAT16] for name in TIMED}
+    yield from _compare(BFLOAT16, f"({size}, bfloat16)", " in float32", {**seconds, **ours}, flops)
+    # SBX has no bfloat16.
+    alike = {**ours, **{name: seconds[name + BFLOAT16] for name in (OTHERS, PRODUCT)}}
+    yield from _compare(
+        f"{BFLOAT16}_alike", "(the same, bfloat16)", " in bfloat16", alike, flops, jax=False
     )
 
 
-def speeds(times: dict[str, float], flops: float) -> dict[str, Any]:
-    """What `update_speed` returns, from the seconds each one's turn takes and the operations of a BATD3 update."""
-    found = _speeds(times, flops, "")
-    if "product" + _BFLOAT16 in times:
-        alike = _speeds(
-            {name: times.get(name + _BFLOAT16, time) for name, time in times.items()}, flops, ""
+def _compare(
+    suffix: str,
+    ours: str,
+    theirs: str,
+    seconds: Mapping[str, float],
+    flops: float,
+    details: Mapping[str, object] | None = None,
+    jax: bool = True,
+) -> Iterator[Measurement]:
+    """Compare speeds; `suffix` ends the names of the values, `ours` and `theirs` say in words how
+    our updates and the others' were made."""
+    rate = PRODUCTS * 2 * PRODUCT_SIZE**3 / seconds[PRODUCT]
+    yield Measurement(
+        f"update_share{suffix}",
+        flops / seconds["batd3"] / rate,
+        f"BATD3 updates/s {ours} over those at the rate of a product{theirs}",
+        f"{PRODUCT_SIZE} x {PRODUCT_SIZE} product: {rate / 1e9:.0f} GFLOP/s",
+        details=details or {},
+    )
+    for name in TIMED:
+        over = f"{algorithm_title(name)} updates/s {ours} over"
+        yield Measurement(
+            f"update_sb3_{name}{suffix}",
+            seconds[OTHERS] / seconds[name],
+            f"{over} stable-baselines3's TD3{theirs}, five critics",
+            f"{1 / seconds[OTHERS]:.0f} updates/s",
         )
-        found["bfloat16"] = _speeds(times, flops, _BFLOAT16) | {
-            "like_for_like": alike["ratio"],
-            "share_of_own_product_rate": alike["share_of_product_rate"],
-            **{
-                name: alike[name]
-                for name in ("stable_baselines3_updates_per_second", "product_gflops")
-            },
-        }
-    return {"bfloat16": None} | found
-
-
-def _speeds(times: dict[str, float], flops: float, kind: str) -> dict[str, Any]:
-    """Those of our updates of one kind, to what the others do in float32."""
-    ours, others, sbx = (
-        {name: times[name + kind] for name in OWN},
-        times["stable_baselines3"],
-        times.get("sbx"),
-    )
-    product_rate = _PRODUCTS * 2 * 256**3 / times["product"]
-    return {
-        "updates_per_second": {name: 1 / time for name, time in ours.items()},
-        "stable_baselines3_updates_per_second": 1 / others,
-        "sbx_updates_per_second": sbx and 1 / sbx,
-        "ratio": {name: others / time for name, time in ours.items()},
-        "sbx_ratio": {name: sbx and sbx / time for name, time in ours.items()},
-        "product_gflops": product_rate / 1e9,
-        "share_of_product_rate": flops / ours["batd3"] / product_rate,
-    }
+        if jax:
+            sbx = seconds.get(OTHERS_JAX)
+            yield Measurement(
+                f"update_sbx_{name}{suffix}",
+                None if sbx is None else sbx / seconds[name],
+                f"{over} SBX's TD3 (JAX){theirs}, five critics",
+                "pip install sbx-rl, here or for --peers"
+                if sbx is None
+                else f"{1 / sbx:.1f} updates/s",
+            )
 
 
 def side_by_side(updates: int = 20, rounds: int = 12) -> float:
-    """Speed of a run's updates beside those of another run, to its speed alone: two processes of one thread each.
+    """Return the speed of a run's updates beside those of another run, over its speed alone.
 
-    Wall times, one alone and both together taking turns; medians over the rounds.
+    Each run is a process of one thread. Wall times, one alone and both together taking turns;
+    medians over the rounds.
     """
     alone, together = [], []
     with Peer(_OURS) as one, Peer(_OURS) as other:
@@ -154,118 +167,29 @@ def side_by_side(updates: int = 20, rounds: int = 12) -> float:
             single = one.run(updates)[0]
             for run in (one, other):
                 run.start(updates)
-            both = [run.taken()[0] for run in (one, other)]
-            if turn:
+            both = [run.wait()[0] for run in (one, other)]
+            if turn:  # the first turn only warms up
                 alone.append(single)
                 together.append(np.mean(both))
     return float(np.median(alone) / np.median(together))
 
 
-def update_flops(learner: Learner, robot: Robot) -> float:
-    """Floating-point operations in the matrix products of one BATD3 update, a multiplication and an addition each.
+def in_bfloat16(function: Updates) -> Updates:
+    """Return the same work with matrix products in bfloat16."""
 
-    A row through a network takes two for every weight; to go back, as many for the gradient of the weights, and for
-    that of the activations two for every weight but the first layer's (or all, if the inputs' gradient is wanted).
-    """
-    observation, cables = (
-        observation_size(robot) + 3 * (learner.features == "state+error"),
-        robot.num_cables,
-    )
-    actor = _weights(observation, learner.hidden, cables)
-    critic = _weights(observation + cables, learner.hidden, 1)
-    into_actor, into_critic = (
-        observation * learner.hidden[0],
-        (observation + cables) * learner.hidden[0],
-    )
-    target = (
-        actor + 2 * learner.target_critics * critic
-    )  # the clone's action and the policy's are both valued
-    critics = learner.critics * (3 * critic - into_critic)
-    improve = 3 * actor - into_actor + learner.target_critics * 2 * critic
-    return 2.0 * learner.batch_size * (target + critics + improve / learner.policy_delay)
-
-
-def _weights(inputs: int, hidden: tuple[int, ...], outputs: int) -> int:
-    widths = (inputs, *hidden, outputs)
-    return sum(n * m for n, m in pairwise(widths))
-
-
-def own_updates(name: str = "batd3", bfloat16: bool = False) -> Callable[[int], None]:
-    """Does so many updates of an algorithm with the paper's numbers, on random data, each with a batch from the replay.
-
-    Args:
-        name: one of :data:`training.algorithms.ALGORITHMS`.
-        bfloat16: with products in bfloat16.
-    """
-    torch.set_num_threads(1)
-    robot, learner = load_robot("paper"), replace(learner_for(name, "paper"), bfloat16=bfloat16)
-    algorithm = ALGORITHMS[name](robot, learner, torch.Generator().manual_seed(0))
-    rng, cables = np.random.default_rng(0), robot.num_cables
-
-    def clone(observations: NDArray[np.float64]) -> NDArray[np.float32]:
-        return rng.uniform(-1, 1, (len(observations), cables)).astype(np.float32)
-
-    replay = MixedReplay(robot, make_task("reach"), learner, clone)
-    for _ in range(4):
-        observations, actions = (
-            rng.normal(size=(251, observation_size(robot))),
-            rng.uniform(-1, 1, (250, cables)),
-        )
-        replay.add(FinishedEpisode(observations, actions, rng.random(250), True, True), rng)
-
-    def run(updates: int) -> None:
-        for _ in range(updates):
-            algorithm.update(replay.sample(rng))
-
-    return run
-
-
-def _own_time(function: Callable[[int], None]) -> Callable[[int], float]:
-    def run(count: int) -> float:
-        start = time.thread_time()
-        function(count)
-        return time.thread_time() - start
-
-    return run
-
-
-def _in_bfloat16(function: Callable[[int], None]) -> Callable[[int], None]:
     def run(count: int) -> None:
-        with matrix_products(bfloat16=True):
+        with bfloat16.matrix_products(bfloat16=True):
             function(count)
 
     return run
 
 
-def _stable_baselines() -> Callable[[int], None]:
-    import gymnasium
-    import stable_baselines3
+def _timed(function: Updates) -> Callable[[int], float]:
+    """Return the same work, timed: its processor time in [s]."""
 
-    env = gymnasium.make("cdcsr/Reach-v0")
-    policy = {"net_arch": [256, 256, 256], "n_critics": 5}
-    other = stable_baselines3.TD3(
-        "MlpPolicy", env, 1e-4, buffer_size=2000, batch_size=256, policy_kwargs=policy, device="cpu"
-    )
-    other._setup_learn(1_000_000)
-    rng = np.random.default_rng(0)
-    shape = env.observation_space.shape
-    assert shape is not None
-    for _ in range(1000):
-        action = rng.random((1, 8)) * 2 - 1
-        observation, following = rng.normal(size=(1, *shape)), rng.normal(size=(1, *shape))
-        other.replay_buffer.add(observation, following, action, np.zeros(1), np.zeros(1), [{}])  # type: ignore[union-attr]
-
-    def run(updates: int) -> None:
-        other.train(gradient_steps=updates, batch_size=256)
-
-    return run
-
-
-def _matrix_product() -> Callable[[int], None]:
-    a, b, c = torch.randn(256, 256), torch.randn(256, 256), torch.empty(256, 256)
-
-    def run(updates: int) -> None:
-        for _ in range(_PRODUCTS * updates):
-            torch.mm(a, b, out=c)
+    def run(count: int) -> float:
+        start = time.thread_time()
+        function(count)
+        return time.thread_time() - start
 
     return run

@@ -1,4 +1,4 @@
-"""`cdcsr bench`."""
+"""`cdcsr bench`: measure speed and memory."""
 
 from __future__ import annotations
 
@@ -13,16 +13,17 @@ def bench(
     plot: Path | None = None,
     peers: str | None = None,
 ) -> None:
-    """Measure speed and memory, times as ratios within one process, the machine's own floor beside them.
+    """Measure speed and memory, mostly as ratios to something that ran in turns with it.
 
-    Needs the development dependencies (stable-baselines3), and a system with the `resource` module for memory.
+    The machine's own speed is printed beside each ratio. The section "trainer" needs the
+    development dependencies; "memory" needs a system with the `resource` module.
 
     Args:
         sections: memory, growth, arms, trainer, or one that an engine brings; by default all.
         json: also write the numbers to this file.
         plot: also draw how the cost of a step grows with the robot, into this folder.
-        peers: an interpreter that has gym-softrobot and sbx-rl; by default this one, if it has.
+        peers: an interpreter that has gym-softrobot and sbx-rl; by default this one.
     """
-    from training.bench.sections import Benchmarks
+    from training.bench.sections import run_sections
 
-    Benchmarks(peers, plot).run(sections, json)
+    run_sections(sections, json, plot, peers)

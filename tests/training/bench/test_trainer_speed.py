@@ -1,4 +1,4 @@
-"""What is compared when the trainer's speed is measured; how fast it is, no test says."""
+"""The trainer's speed: the same updates are compared, whatever the machine."""
 
 from __future__ import annotations
 
@@ -7,18 +7,28 @@ import sys
 import pytest
 import torch
 
-from cdcsr.robot.description import load_robot
-from training.bench import trainer_speed as bench
+from cdcsr.robot.description import Robot
+from training.bench import timed_updates, trainer_speed
+from training.bench.timed_updates import Updates, update_flops
+from training.bench.trainer_speed import (
+    BFLOAT16,
+    TIMED,
+    compare_speeds,
+    in_bfloat16,
+    update_seconds,
+)
 from training.config.run_config import Learner
 from training.networks.bfloat16 import has_fast_bfloat16
 
 
-def test_every_speed_is_a_ratio_of_the_same_updates(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_every_learner_makes_the_same_number_of_updates(
+    paper: Robot, monkeypatch: pytest.MonkeyPatch
+) -> None:
     done: dict[str, int] = {}
-    built = bench.own_updates
+    built = timed_updates.own_updates
 
-    def counted(name: str, bfloat16: bool = False) -> object:
-        run, kind = built(name, bfloat16), name + "_bfloat16" * bfloat16
+    def counted(name: str, bfloat16: bool = False) -> Updates:
+        run, kind = built(name, bfloat16), name + BFLOAT16 * bfloat16
 
         def count(updates: int) -> None:
             done[kind] = done.get(kind, 0) + updates
@@ -26,83 +36,97 @@ def test_every_speed_is_a_ratio_of_the_same_updates(monkeypatch: pytest.MonkeyPa
 
         return count
 
-    monkeypatch.setattr(bench, "own_updates", counted)
-    speed = bench.update_speed(sys.executable, updates=2, rounds=1)
-    kinds = ("", "_bfloat16") if has_fast_bfloat16() else ("",)
-    # A turn to warm up, and one that is measured.
-    assert done == dict.fromkeys([name + kind for name in bench.OWN for kind in kinds], 4)
-    assert (speed["bfloat16"] is not None) == ("_bfloat16" in kinds)
-    for name in bench.OWN:
-        theirs, ours = (
-            speed["stable_baselines3_updates_per_second"],
-            speed["updates_per_second"][name],
-        )
-        assert speed["ratio"][name] == pytest.approx(ours / theirs)
+    monkeypatch.setattr(trainer_speed, "own_updates", counted)
+    seconds = update_seconds(paper, sys.executable, updates=2, rounds=1)
+    kinds = ("", BFLOAT16) if has_fast_bfloat16() else ("",)
+    # One turn warms up, and one is measured.
+    assert done == dict.fromkeys([name + kind for name in TIMED for kind in kinds], 4)
+    names = {name + kind for name in (*TIMED, "stable_baselines3", "product") for kind in kinds}
+    assert seconds.keys() - {"sbx"} == names
+    assert all(value > 0 for value in seconds.values())
 
 
 def test_the_speed_of_the_others_in_bfloat16_is_taken_in_bfloat16(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     seen = []
-    run = bench._in_bfloat16(
-        lambda count: seen.append((count, torch.get_float32_matmul_precision()))
-    )
+    run = in_bfloat16(lambda count: seen.append((count, torch.get_float32_matmul_precision())))
     run(3)
     assert seen == [(3, "medium")]
     assert torch.get_float32_matmul_precision() == "highest"
     kinds: list[bool] = []
-    monkeypatch.setitem(bench.ALGORITHMS, "batd3", lambda *given: kinds.append(given[1].bfloat16))
+    monkeypatch.setitem(
+        timed_updates.ALGORITHMS, "batd3", lambda *given: kinds.append(given[1].bfloat16)
+    )
     for bfloat16 in (True, False):
-        bench.own_updates("batd3", bfloat16)
+        timed_updates.own_updates("batd3", bfloat16)
     assert kinds == [True, False]
 
 
-def test_speeds_by_hand() -> None:
-    times = {
-        "batd3": 0.020,
-        "td3": 0.016,
-        "clasp": 0.010,
-        "stable_baselines3": 0.030,
-        "product": 0.005,
-        "sbx": 0.040,
-    }
-    plain = bench.speeds(times, 1e9)
-    assert plain["ratio"] == pytest.approx({"batd3": 1.5, "td3": 1.875, "clasp": 3.0})
-    assert plain["sbx_ratio"] == pytest.approx({"batd3": 2.0, "td3": 2.5, "clasp": 4.0})
-    assert plain["product_gflops"] == pytest.approx(50 * 2 * 256**3 / 0.005 / 1e9)
-    assert plain["share_of_product_rate"] == pytest.approx(1 / 0.020 / plain["product_gflops"])
-    assert plain["bfloat16"] is None
-    fast = {
-        "batd3": 0.010,
-        "td3": 0.004,
-        "clasp": 0.005,
-        "stable_baselines3": 0.012,
-        "product": 0.001,
-    }
-    both = bench.speeds(times | {f"{name}_bfloat16": time for name, time in fast.items()}, 1e9)
-    assert {name: both[name] for name in plain if name != "bfloat16"} == {
-        name: value for name, value in plain.items() if name != "bfloat16"
-    }
-    found = both["bfloat16"]
-    assert found["updates_per_second"] == pytest.approx({"batd3": 100, "td3": 250, "clasp": 200})
-    assert found["ratio"] == pytest.approx({"batd3": 3.0, "td3": 7.5, "clasp": 6.0})
-    assert found["sbx_ratio"] == pytest.approx({"batd3": 4.0, "td3": 10.0, "clasp": 8.0})
-    assert found["like_for_like"] == pytest.approx({"batd3": 1.2, "td3": 3.0, "clasp": 2.4})
-    assert found["stable_baselines3_updates_per_second"] == pytest.approx(1 / 0.012)
-    assert found["share_of_product_rate"] == pytest.approx(2 * plain["share_of_product_rate"])
-    assert found["share_of_own_product_rate"] == pytest.approx(
-        2 / 5 * plain["share_of_product_rate"]
+FLOAT32 = {
+    "batd3": 0.020,
+    "td3": 0.016,
+    "clasp": 0.010,
+    "stable_baselines3": 0.030,
+    "product": 0.005,
+    "sbx": 0.040,
+}
+"""Seconds an update."""
+FAST = {"batd3": 0.010, "td3": 0.004, "clasp": 0.005, "stable_baselines3": 0.012, "product": 0.001}
+"""The same in bfloat16."""
+RATE = 50 * 2 * 256**3 / 0.005
+"""Of the products in float32, in operations a second."""
+
+
+def compared(seconds: dict[str, float]) -> dict[str, float | None]:
+    return {row.name: row.value for row in compare_speeds(seconds, 1e9)}
+
+
+def test_speeds_in_float32_by_hand() -> None:
+    found = compared(FLOAT32)
+    assert found.pop("update_share_bfloat16") is None
+    assert found == pytest.approx(
+        {
+            "update_share": 1e9 / 0.020 / RATE,
+            "update_sb3_batd3": 1.5,
+            "update_sb3_td3": 1.875,
+            "update_sb3_clasp": 3.0,
+            "update_sbx_batd3": 2.0,
+            "update_sbx_td3": 2.5,
+            "update_sbx_clasp": 4.0,
+        }
     )
-    del times["sbx"]
-    assert bench.speeds(times, 1e9)["sbx_ratio"] == dict.fromkeys(bench.OWN)
+    without = compared({name: value for name, value in FLOAT32.items() if name != "sbx"})
+    assert [without[f"update_sbx_{name}"] for name in TIMED] == [None] * 3
 
 
-def test_operations_of_an_update_are_those_of_its_matrix_products() -> None:
-    # By hand, of the paper's sizes: 31 numbers seen, 8 cables, three layers of 256.
+def test_speeds_in_bfloat16_by_hand() -> None:
+    found = compared(FLOAT32 | {name + BFLOAT16: value for name, value in FAST.items()})
+    plain = compared(FLOAT32)
+    del plain["update_share_bfloat16"]
+    assert {name: found.pop(name) for name in plain} == plain
+    assert found == pytest.approx(
+        {
+            "update_share_bfloat16": 1e9 / 0.010 / RATE,
+            "update_sb3_batd3_bfloat16": 3.0,
+            "update_sb3_td3_bfloat16": 7.5,
+            "update_sb3_clasp_bfloat16": 6.0,
+            "update_sbx_batd3_bfloat16": 4.0,
+            "update_sbx_td3_bfloat16": 10.0,
+            "update_sbx_clasp_bfloat16": 8.0,
+            "update_share_bfloat16_alike": 1e9 / 0.010 / (5 * RATE),
+            "update_sb3_batd3_bfloat16_alike": 1.2,
+            "update_sb3_td3_bfloat16_alike": 3.0,
+            "update_sb3_clasp_bfloat16_alike": 2.4,
+        }
+    )
+
+
+def test_operations_of_an_update_are_those_of_its_matrix_products(paper: Robot) -> None:
+    # By hand, for the paper's sizes: 31 inputs, 8 cables, three layers of 256.
     actor, critic = 31 * 256 + 2 * 256**2 + 256 * 8, 39 * 256 + 2 * 256**2 + 256
     target = actor + 2 * 2 * critic
     critics = 5 * (3 * critic - 39 * 256)
     improve = (3 * actor - 31 * 256 + 2 * 2 * critic) / 2
-    assert bench.update_flops(Learner(), load_robot("paper")) == pytest.approx(
-        2 * 256 * (target + critics + improve)
-    )
+    expected = 2 * 256 * (target + critics + improve)
+    assert update_flops(Learner(), paper) == pytest.approx(expected)
