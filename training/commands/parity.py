@@ -18,16 +18,16 @@ def parity(
 ) -> None:
     """Measure how far apart the engines are on a robot: one state, one step, open loop.
 
-    Each level has tolerances. If one is broken, everything is still measured and written; then the first check
-    that failed is named and the exit code is 1.
+    Each level has tolerances. If one is exceeded, the command still measures and writes everything;
+    then it names the first check that failed, and its exit code is 1.
 
     Args:
         robot: a shipped robot, or a path ending in .toml.
         reference: the engine that the others are compared with.
-        backend: the engine to compare with it, or all that are installed.
-        episodes: how many episodes of the demonstrator, and as many of random commands.
-        seed: of states, targets and random commands.
-        json: also write every figure and check to this file.
+        backend: the engine to compare with it, or "all" that are installed.
+        episodes: number of episodes of the demonstrator, and again of random commands.
+        seed: seed of states, targets and random commands.
+        json: also write every number and check to this file.
         plot: also draw the figures into this folder.
     """
     from backends.parity.report import measure, show
@@ -47,8 +47,10 @@ def parity(
     others = backend_names() if backend == "all" else [backend]
     engines |= {name: load_backend(name) for name in others if name != reference}
     if len(engines) < 2:
+        installed = ", ".join(backend_names())
         raise CdcsrError(
-            f"There is no engine to compare {reference!r} with; installed: {', '.join(backend_names())}."
+            f"There is no engine to compare {reference!r} with (installed: {installed});"
+            " install another, or name one that differs from the reference."
         )
     runs = [
         demonstrator_commands(description, reference, episodes, seed),

@@ -1,4 +1,4 @@
-"""A video of a controller, side by side in several engines. Drawn without a display or a graphics driver."""
+"""Film a controller side by side in several engines, without a display or a graphics driver."""
 
 from __future__ import annotations
 
@@ -26,30 +26,31 @@ Picture = NDArray[np.uint8]
 
 FRAMES_PER_SECOND = 12
 FRAME_PERIOD = 0.01
-"""Simulated time from one frame to the next, in [s]: eight times slower than real."""
+"""Simulated time between two frames, in [s]; the video is eight times slower than reality."""
 HOLD = 14
-"""Frames for which the end of an episode stays."""
+"""Frames for which the end of an episode is shown."""
 WIDTH, HEIGHT, CAPTION = 400, 640, 80
-"""Of one engine's picture, and the height of the text above it, in pixels; video codecs want multiples of 16."""
+"""Size of one engine's picture, and height of the caption above it, in pixels. Video codecs need
+multiples of 16."""
 CLOSE = 160
-"""Edge of the close view beside the robot, in pixels."""
+"""Edge of the near view beside the robot, in pixels."""
 _INK, _SOFT, _LINE = "#333333", "#808080", "#d5d7db"
 _MARGIN = 20
 
 
 @dataclass(frozen=True)
 class Recording:
-    """Episodes of one controller in one engine, side by side; rows go on after an episode's end."""
+    """Episodes of one controller in one engine. An episode's rows continue after its end."""
 
     backend: str
     position: Array
-    """(steps + 1, N, 7 + C + 2 J), as in a Snapshot."""
+    """Generalized positions as in a Snapshot, shape (steps + 1, N, 7 + C + 2 J)."""
     distance: Array
-    """(steps + 1, N) from tip to target, in [m]."""
+    """Distance from tip to target in [m], shape (steps + 1, N)."""
     end: NDArray[np.int64]
-    """(N,) the step at which each episode ended."""
+    """The step at which each episode ended, shape (N,)."""
     success: NDArray[np.bool_]
-    """(N,)."""
+    """Whether each episode succeeded, shape (N,)."""
 
 
 def record(
@@ -92,15 +93,15 @@ def policy_video(
     paths: Sequence[Path],
     frame_skip: int = 1,
 ) -> None:
-    """Write a video of a controller reaching for targets, one column for each engine, in slow motion.
+    """Write a video of a controller that reaches for targets, one column an engine, in slow motion.
 
     Args:
-        controller: who acts.
+        controller: the controller to film.
         robot: the description.
         backends: the engines.
-        targets: shape (N, 3), world frame, in [m]; one episode for each.
-        paths: the files to write; the ending of each gives its format, .mp4 or .gif.
-        frame_skip: simulation steps each action is held for.
+        targets: one for each episode, shape (N, 3), world frame, in [m].
+        paths: the files to write; their endings give the formats, .mp4 or .gif.
+        frame_skip: simulation steps for which each action is held.
     """
     recordings = [record(controller, robot, backend, targets, frame_skip) for backend in backends]
     frames = list(draw_frames(recordings, robot, targets, robot.time_step * frame_skip))
@@ -111,13 +112,13 @@ def policy_video(
 def draw_frames(
     recordings: Sequence[Recording], robot: Robot, targets: Array, period: float
 ) -> Iterator[Picture]:
-    """The frames of a video, episode after episode.
+    """Yield the frames of a video, episode after episode.
 
     Args:
-        recordings: of the same episodes in each engine.
+        recordings: the same episodes in each engine.
         robot: the description.
         targets: shape (N, 3), world frame, in [m].
-        period: time from one row of a recording to the next, in [s].
+        period: time between two rows of a recording, in [s].
     """
     stride = max(1, round(FRAME_PERIOD / period))
     rows = [
@@ -139,7 +140,7 @@ def draw_frames(
                         picture = _picture(renderer, robot, recording.position[row, n], target)
                         columns[-1].append(np.concatenate([caption, picture]))
                         bar.update()
-                # An episode that is over sooner in one engine keeps its last picture there.
+                # Where an episode ends sooner than in another engine, its last picture stays.
                 for i in range(max(map(len, columns)) + HOLD):
                     yield np.concatenate(
                         [column[min(i, len(column) - 1)] for column in columns], axis=1
@@ -178,7 +179,7 @@ def write_video(frames: Sequence[Picture], path: Path) -> None:
 
 
 def _picture(renderer: Renderer, robot: Robot, position: Array, target: Array) -> Picture:
-    """The whole robot, and beside it the surroundings of the target from near."""
+    """Draw the whole robot, and beside it a near view of the target."""
     picture = renderer.draw(position, targets=target, size=(HEIGHT, WIDTH))
     near = renderer.draw(
         position, targets=target, size=(CLOSE, CLOSE), focus=(target, 0.15 * robot.arm_length)
@@ -190,7 +191,7 @@ def _picture(renderer: Renderer, robot: Robot, position: Array, target: Array) -
 
 
 def _caption(recording: Recording, episode: int, row: int, title: str, time: float) -> Picture:
-    """The text above a picture: which engine, which target, when, and how far."""
+    """Draw the text above a picture: engine, target, time and distance."""
     image = Image.new("RGB", (WIDTH, CAPTION), BACKGROUND)
     draw = ImageDraw.Draw(image)
     large, small = ImageFont.load_default(24), ImageFont.load_default(17)
@@ -200,10 +201,9 @@ def _caption(recording: Recording, episode: int, row: int, title: str, time: flo
     draw.text((_MARGIN, 48), f"{1000 * time:.0f} ms", _INK, small)
     words, color = f"{1000 * recording.distance[row, episode]:.0f} mm to target", _INK
     if row == recording.end[episode]:
-        reached = recording.success[episode]
-        words, color = (
-            (words + ": reached", REACHED_COLOR) if reached else (words + ": missed", MISSED_COLOR)
-        )
+        outcome = ("missed", MISSED_COLOR), ("reached", REACHED_COLOR)
+        word, color = outcome[int(recording.success[episode])]
+        words = f"{words}: {word}"
     draw.text((right, 48), words, color, small, anchor="ra")
     draw.line([(_MARGIN, CAPTION - 1), (right, CAPTION - 1)], _LINE)
     return np.asarray(image)

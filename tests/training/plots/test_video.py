@@ -1,4 +1,4 @@
-"""The video: what was recorded is what is shown, in every engine."""
+"""The video shows what was recorded, in every engine."""
 
 from __future__ import annotations
 
@@ -23,11 +23,10 @@ BACKENDS = ("mujoco", "pybullet")
 
 
 def read_video(path: Path) -> NDArray[np.int64]:
-    """All frames, shape (n, height, width, 3)."""
+    """Return all frames, shape (n, height, width, 3)."""
     with warnings.catch_warnings():
-        warnings.simplefilter(
-            "ignore", ResourceWarning
-        )  # the reader leaves a pipe open until it is collected
+        # The reader leaves a pipe open until it is collected.
+        warnings.simplefilter("ignore", ResourceWarning)
         frames = np.array(list(imageio.get_reader(path).iter_data()), dtype=np.int64)
         gc.collect()
     return frames
