@@ -129,7 +129,7 @@ class WorkingFolder:
     """
 
     kind: str
-    """What the folder is, with an article, for messages: "a training run"."""
+    """The name of the kind in messages, with an article: "a training run"."""
     record: str
     """The name of the record."""
     fields: frozenset[str] = frozenset()

@@ -39,7 +39,7 @@ class EnvOptions(TypedDict, total=False):
     """The targets of the demonstrations, shape (n, 3), in [m]; Floating and Spatter surround
     them. By default those of the paper's ten."""
     disturbances: Disturbances | None
-    """What acts between policy and robot; by default nothing."""
+    """They act between policy and robot; by default there are none."""
     randomization: Randomization | None
     """Draws a new plant for every episode; by default all plants are as described."""
     task: str | Task

@@ -25,13 +25,13 @@ Ids = Sequence[int] | NDArray[np.integer] | None
 """Which copies: sorted unique indices, or None for all copies."""
 
 Capability = Literal["render", "bit_exact", "own_settings"]
-"""What only some engines can do. render: it has its own camera. bit_exact: the same commands give
-the same bits, also after a snapshot. own_settings: it has `use_own_settings`."""
+"""An ability that only some engines have. render: it has its own camera. bit_exact: the same
+commands give the same bits, also after a snapshot. own_settings: it has `use_own_settings`."""
 
 
 @dataclass(frozen=True)
 class State:
-    """What can be measured of num copies at one moment, in the world frame."""
+    """The measured state of num copies at one moment, in the world frame."""
 
     time: Array
     """Shape (num,), in [s]."""
@@ -44,13 +44,13 @@ class State:
     base_quaternion: Array
     """w-x-y-z, unit length, shape (num, 4)."""
     base_velocity: Array
-    """Of the base's centre, shape (num, 3), in [m/s]."""
+    """The velocity of the base's centre, shape (num, 3), in [m/s]."""
     base_angular_velocity: Array
     """Shape (num, 3), in [rad/s]."""
     cable_travel: Array
     """Slider positions, shape (num, C), in [m]; negative is pulled."""
     cable_tension: Array
-    """Of the step just made, never negative, shape (num, C), in [N]."""
+    """The tension in the last step, never negative, shape (num, C), in [N]."""
     joint_angles: Array
     """Shape (num, 2 J), in [rad]."""
     joint_rates: Array

@@ -27,9 +27,9 @@ class Plant(NamedTuple):
     link_inertia: Array
     """Shape (n, J, 3), in [kg m^2]."""
     stiffness: Array
-    """Of the hinges, shape (n, 2 J), in [N m/rad]."""
+    """The hinges' stiffness, shape (n, 2 J), in [N m/rad]."""
     damping: Array
-    """Of the sliders in [N s/m], then of the hinges in [N m s/rad], shape (n, C + 2 J)."""
+    """The sliders' friction in [N s/m], then the hinges' damping in [N m s/rad], (n, C + 2 J)."""
     servo_gain: Array
     """Shape (n, C), in [N/m]."""
     rest_length_offset: Array

@@ -1,1 +1,1 @@
-"""What the robot is asked to do: tasks, targets and observations."""
+"""Tasks, targets and observations."""

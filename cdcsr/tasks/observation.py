@@ -19,7 +19,7 @@ from cdcsr.simulation.contract import State
 Array = NDArray[np.float64]
 
 Kind = Literal["position", "velocity", "scalar", "quaternion", "axial vector", "per cable"]
-"""What a mirror does to a part depends on this; an axial vector is, for example, an angular
+"""The kind decides what a mirror does to a part; an axial vector is, for example, an angular
 velocity."""
 _WIDTHS = {
     "position": 3,

@@ -20,7 +20,7 @@ from cdcsr.tasks.target_motion import MotionName, make_motion
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 Counts = dict[str, NDArray[np.int64]]
-"""What a task counts during an episode, by name; shape (num,), all zero when the episode begins."""
+"""The counts that a task keeps of an episode, by name; shape (num,), all zero at its beginning."""
 Reward = Literal["sparse", "dense"]
 BASE_SHIFT, BASE_TILT = 0.003, 0.05
 """The largest distance of a quiet base from its start, in [m] and [rad]. The paper reports these

@@ -1,4 +1,4 @@
-"""The `cdcsr` command: quick to answer, and it never answers with a traceback."""
+"""The `cdcsr` command answers quickly and never with a traceback."""
 
 from __future__ import annotations
 
@@ -28,7 +28,8 @@ HEAVY = (
     "mujoco",
     "pybullet",
 )
-"""Gymnasium, and NumPy with it, is not in the list: importing `cdcsr` registers the environments."""
+"""Modules that `cdcsr --help` must not import. Gymnasium and NumPy are imported with `cdcsr`, which
+registers the environments."""
 
 
 def double(number: int, /, *, quiet: bool = False) -> None:
@@ -43,23 +44,23 @@ def double(number: int, /, *, quiet: bool = False) -> None:
 
 
 def measure(*, json: Path | None = None, csv: Path | None = None) -> None:
-    """Say that much work is done."""
+    """Say that work was done."""
     print("worked", json, csv)
 
 
 def fail() -> None:
-    """Fail as a user's mistake does."""
+    """Fail because of the user's input."""
     raise CdcsrError("There is no such thing; have another.")
 
 
 def interrupt() -> None:
-    """Fail as Ctrl-C does."""
+    """Fail because of Ctrl-C."""
     raise KeyboardInterrupt
 
 
 @pytest.fixture
 def commands(monkeypatch: pytest.MonkeyPatch) -> None:
-    """The functions above as installed commands, and one whose module is not there."""
+    """Install the functions above as commands, and one whose module does not exist."""
     found = [
         EntryPoint(f.__name__, f"{__name__}:{f.__name__}", "cdcsr.commands")
         for f in (double, fail, interrupt)
@@ -74,7 +75,7 @@ def commands(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def fastest(command: list[str]) -> float:
-    """The least of five times a command takes, in [s]; the others count what else the machine was doing."""
+    """Return the shortest of five runs of a command, in [s]; other programs delay the others."""
 
     def once() -> float:
         start = time.perf_counter()
@@ -85,13 +86,14 @@ def fastest(command: list[str]) -> float:
 
 
 def test_help_takes_less_than_half_a_second() -> None:
-    # A Python that does nothing needs about 15 ms; a machine on which it needs more gets as much more time.
+    # An empty Python program takes about 15 ms; a slower machine gets more time in proportion.
     floor = fastest([sys.executable, "-c", "pass"])
     assert fastest([SCRIPT, "--help"]) < max(0.5, 20 * floor)
 
 
 def test_help_imports_nothing_heavy() -> None:
-    code = f"import sys, cdcsr.cli; cdcsr.cli.main(['--help']); print([m for m in {HEAVY} if m in sys.modules])"
+    code = "import sys, cdcsr.cli; cdcsr.cli.main(['--help']); "
+    code += f"print([module for module in {HEAVY} if module in sys.modules])"
     done = subprocess.run([sys.executable, "-c", code], check=True, capture_output=True, text=True)
     assert done.stdout.splitlines()[-1] == "[]"
 
@@ -119,15 +121,15 @@ def test_an_unknown_command_ends_in_one_line_and_exit_code_2() -> None:
 
 
 @pytest.mark.usefixtures("commands")
-def test_help_lists_every_command_and_survives_one_that_is_broken(
+def test_help_lists_every_command_even_if_one_cannot_be_loaded(
     capsys: pytest.CaptureFixture[str],
 ) -> None:
     assert cli.main(["--help"]) == 0
     assert [line for line in capsys.readouterr().out.splitlines() if line.startswith("  ")] == [
         "  double     Print twice a number.",
-        "  fail       Fail as a user's mistake does.",
+        "  fail       Fail because of the user's input.",
         "  gone       (cannot be loaded: ModuleNotFoundError: No module named 'no_such_module')",
-        "  interrupt  Fail as Ctrl-C does.",
+        "  interrupt  Fail because of Ctrl-C.",
     ]
 
 
@@ -149,13 +151,15 @@ def test_no_command_is_an_error_with_the_help(capsys: pytest.CaptureFixture[str]
             ["gone"],
             2,
             "",
-            "error: The command 'gone' cannot be loaded: ModuleNotFoundError: No module named 'no_such_module'.\n",
+            "error: The command 'gone' cannot be loaded: ModuleNotFoundError: "
+            "No module named 'no_such_module'.\n",
         ),
         (
             ["duoble"],
             2,
             "",
-            "error: Unknown command 'duoble'. Did you mean 'double'? Available: double, fail, gone, interrupt.\n",
+            "error: Unknown command 'duoble'. Did you mean 'double'? "
+            "Available: double, fail, gone, interrupt.\n",
         ),
     ],
 )
@@ -179,7 +183,7 @@ def test_arguments_that_do_not_fit_end_with_exit_code_2(
 
 
 @pytest.mark.parametrize("argv", [["--help"], ["build-model", "--help"]])
-def test_output_that_nobody_reads_is_no_error_to_talk_about(argv: list[str]) -> None:
+def test_a_closed_output_ends_the_command_without_a_message(argv: list[str]) -> None:
     reader, writer = os.pipe()
     os.close(reader)
     done = subprocess.run([SCRIPT, *argv], stdout=writer, stderr=subprocess.PIPE, check=False)
@@ -187,7 +191,7 @@ def test_output_that_nobody_reads_is_no_error_to_talk_about(argv: list[str]) -> 
     assert (done.returncode, done.stderr) == (141, b"")
 
 
-def test_another_pipe_that_breaks_is_not_hidden() -> None:
+def test_another_broken_pipe_is_an_error() -> None:
     def lose_a_worker() -> None:
         raise BrokenPipeError("of a worker")
 
@@ -217,14 +221,13 @@ def test_a_file_that_cannot_be_written_is_refused_before_the_work(
     new = tmp_path / "new" / "x.json"
     assert cli.run(measure, "measure", ["--json", str(new)]) == 0
     assert capsys.readouterr().out == f"worked {new} None\n"
-    assert not new.parent.exists()  # looking makes nothing
+    assert not new.parent.exists()  # checking makes nothing
 
 
 def test_a_folder_without_permission_is_refused(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(
-        os, "access", lambda path, mode: (path, mode) != (tmp_path, os.W_OK)
-    )  # root may do all
+    # A test that runs as root has every permission.
+    monkeypatch.setattr(os, "access", lambda path, mode: (path, mode) != (tmp_path, os.W_OK))
     with pytest.raises(CdcsrError, match="may not be written to"):
         refuse_unwritable(tmp_path / "x.json")

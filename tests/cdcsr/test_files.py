@@ -1,4 +1,4 @@
-"""Outputs are complete or absent."""
+"""Files and folders are complete or absent, and other people's folders are never overwritten."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from cdcsr.locks import Busy
 
 
 def names(folder: Path) -> list[str]:
-    """Everything in a folder, temporary names included."""
+    """Return all names in a folder, hidden ones included."""
     return sorted(path.name for path in folder.iterdir())
 
 
@@ -51,7 +51,7 @@ def test_json_takes_numpy(tmp_path: Path) -> None:
     assert json.loads(path.read_text("utf-8")) == {"array": [0, 1, 2], "scalar": 0.5, "text": "µ"}
 
 
-def test_json_refuses_what_it_cannot_say(tmp_path: Path) -> None:
+def test_json_refuses_what_it_cannot_express(tmp_path: Path) -> None:
     with pytest.raises(ValueError, match="not JSON compliant"):
         write_json(tmp_path / "a.json", float("nan"))
     with pytest.raises(TypeError, match="object has no place in JSON"):
@@ -92,15 +92,15 @@ def test_an_existing_folder_is_refused_with_the_remedy(tmp_path: Path) -> None:
     )
 
 
-def made(place: Path, kind: str = "models") -> Path:
-    """A folder made before, with one file."""
+def make_folder(place: Path, kind: str = "models") -> Path:
+    """Make a folder with one file."""
     with new_folder(place, kind, force=False) as folder:
         (folder / "old").write_text("old")
     return place
 
 
 def test_force_replaces_the_whole_folder(tmp_path: Path) -> None:
-    place = made(tmp_path / "out")
+    place = make_folder(tmp_path / "out")
     with new_folder(place, "models", force=True) as folder:
         (folder / "new").write_text("new")
         assert names(place) == [".cdcsr", "old"]
@@ -116,7 +116,7 @@ def test_force_replaces_an_empty_folder(tmp_path: Path) -> None:
 
 
 def test_force_replaces_no_folder_of_another_kind(tmp_path: Path) -> None:
-    other = made(tmp_path / "out", "a report")
+    other = make_folder(tmp_path / "out", "a report")
     with (
         pytest.raises(CdcsrError, match="holds a report, not models, and is not replaced"),
         new_folder(other, "models", force=True),
@@ -135,7 +135,7 @@ def test_force_replaces_no_folder_of_another_kind(tmp_path: Path) -> None:
 
 
 def test_a_failure_under_force_keeps_the_old_folder(tmp_path: Path) -> None:
-    place = made(tmp_path / "out")
+    place = make_folder(tmp_path / "out")
     with pytest.raises(KeyboardInterrupt):
         fill_and_fail(place, KeyboardInterrupt, force=True)
     assert names(place) == [".cdcsr", "old"]

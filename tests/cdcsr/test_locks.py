@@ -1,4 +1,4 @@
-"""Locks of the study: held once, and taken over from the dead alone."""
+"""A lock is held by one process, and taken over only from a dead one."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ def test_the_lock_of_a_killed_process_is_taken_over(tmp_path: Path) -> None:
         pass
     process.kill()
     process.stdout.close()
-    # Also before its parent has asked how it ended.
+    # Also while it is a zombie: its parent has not asked how it ended.
     deadline = time.monotonic() + 10
     while is_held(path) and time.monotonic() < deadline:
         time.sleep(0.01)
@@ -49,7 +49,9 @@ def test_the_lock_of_a_killed_process_is_taken_over(tmp_path: Path) -> None:
     assert list(tmp_path.iterdir()) == []
 
 
-def test_a_holder_on_another_machine_is_believed_as_long_as_it_shows_life(tmp_path: Path) -> None:
+def test_a_holder_on_another_machine_holds_the_lock_as_long_as_it_gives_signs_of_life(
+    tmp_path: Path,
+) -> None:
     path = tmp_path / "run.lock"
     path.write_text(json.dumps({"pid": 1, "host": "elsewhere", "started": None, "token": "x"}))
     with pytest.raises(Busy, match="on elsewhere"), lock(path):
@@ -64,7 +66,7 @@ def test_a_holder_on_another_machine_is_believed_as_long_as_it_shows_life(tmp_pa
 def test_a_dead_lock_is_taken_by_one_only(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, seed: int
 ) -> None:
-    """Also where time passes between seeing that a lock is dead and taking it over."""
+    """Even if time passes between the two steps: seeing that a lock is dead, and replacing it."""
     draw, judge = random.Random(seed), locks._is_stale
 
     def slowly(path: Path) -> bool:

@@ -1,4 +1,4 @@
-"""What goes wrong between policy and robot, by its statistics."""
+"""Disturbances between policy and robot have the statistics that they declare."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ def channel(**strength: Any) -> Channel:
 
 
 def observations() -> Array:
-    """Shape (STEPS, NUM, SIZE), every number its own."""
+    """Return observations, shape (STEPS, NUM, SIZE), in which no number occurs twice."""
     return np.arange(STEPS * NUM * SIZE, dtype=float).reshape(STEPS, NUM, SIZE)
 
 
@@ -53,14 +53,14 @@ def test_lost_observations_are_replaced_by_the_last_that_arrived(loss: float) ->
     assert stats.binomtest(lost, NUM * (STEPS - 1), loss).pvalue > 1e-4
 
 
-def test_when_all_is_lost_the_first_observation_stands() -> None:
+def test_if_everything_is_lost_the_first_observation_is_repeated() -> None:
     through, sent = channel(packet_loss=1.0), observations()
     through.start(sent[0], everyone())
     for row in sent[1:]:
         np.testing.assert_array_equal(through.observe(row), sent[0])
 
 
-def test_what_is_done_to_a_received_observation_does_not_come_back() -> None:
+def test_changing_a_received_observation_does_not_change_later_ones() -> None:
     through, sent = channel(packet_loss=1.0), observations()
     through.start(sent[0].copy(), everyone())[:] = np.nan
     through.observe(sent[1])[:] = np.nan
@@ -76,8 +76,8 @@ def test_only_copies_that_begin_an_episode_receive_its_start() -> None:
     np.testing.assert_array_equal(through.observe(sent[2]), received)
 
 
-def test_base_noise_has_its_deviation_and_touches_only_the_base_position() -> None:
-    """On first observations and later ones alike."""
+def test_base_noise_has_its_deviation_and_changes_only_the_base_position() -> None:
+    """In first observations and in later ones."""
     through, sent = channel(base_noise=0.02), observations()
     errors = []
     for step, row in enumerate(sent):
@@ -95,7 +95,7 @@ def test_base_noise_has_its_deviation_and_touches_only_the_base_position() -> No
     assert noise[0].std() == pytest.approx(0.02, rel=0.1)
 
 
-def test_action_noise_has_its_deviation_and_none_is_shared() -> None:
+def test_action_noise_has_its_deviation_and_is_independent() -> None:
     command = np.full((2000, 8), -2.0)
     noise = channel(action_noise=0.3).command(command) - command
     assert stats.kstest(noise.ravel(), "norm", args=(0, 0.3)).pvalue > 1e-4
@@ -118,31 +118,28 @@ def test_impossible_delays_are_errors(bad: Any) -> None:
         Disturbances(observation_delay=bad)
 
 
-def test_late_observations_are_those_of_so_many_steps_before() -> None:
+def test_late_observations_come_from_earlier_steps() -> None:
     through, sent = channel(observation_delay=3), observations()
     np.testing.assert_array_equal(through.start(sent[0], everyone()), sent[0])
     for step in range(1, 20):
         np.testing.assert_array_equal(through.observe(sent[step]), sent[max(step - 3, 0)])
 
 
-def test_a_new_episode_receives_nothing_late_of_the_old_one() -> None:
+def test_a_new_episode_receives_no_late_observation_of_the_old_one() -> None:
     through, sent = channel(observation_delay=2), observations()
     through.start(sent[0], everyone())
     for step in range(1, 10):
         through.observe(sent[step])
-    fresh, first = (
-        np.arange(NUM) % 3 == 0,
-        sent[50],
-    )  # the step that ended the old one has been observed
-    received = [through.start(first, fresh)] + [
-        through.observe(sent[step]) for step in range(10, 14)
-    ]
+    fresh = np.arange(NUM) % 3 == 0
+    # The last step of the old episode was observed above.
+    received = [through.start(sent[50], fresh)]
+    received += [through.observe(sent[step]) for step in range(10, 14)]
     expected = [(7, 50), (8, 50), (9, 50), (10, 10), (11, 11)]
     for row, (old, new) in zip(received, expected, strict=True):
         np.testing.assert_array_equal(row, np.where(fresh[:, None], sent[new], sent[old]))
 
 
-def test_what_is_late_may_also_be_lost() -> None:
+def test_a_late_observation_may_also_be_lost() -> None:
     through, sent = channel(observation_delay=1, packet_loss=0.5), observations()
     last = through.start(sent[0], everyone())
     for step in range(1, 30):

@@ -1,4 +1,4 @@
-"""What an environment draws, for whom, and what of a moving target its task is told."""
+"""Random streams of an environment do not disturb each other; plants and moving targets act."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ ALL = Disturbances(action_noise=0.1, base_noise=0.01, packet_loss=0.3, observati
 
 
 def targets(disturbances: Disturbances | None, seed: int, episodes: int) -> list[Array]:
-    """Of two copies, of one episode after the other."""
+    """Return the targets of two copies in one episode after the other."""
     env = TaskVectorEnv(2, SMALL, max_steps=3, disturbances=disturbances)
     env.reset(seed=seed)
     found = [env.targets.copy()]
@@ -37,17 +37,17 @@ def targets(disturbances: Disturbances | None, seed: int, episodes: int) -> list
 
 @pytest.mark.parametrize("seed", [0, 5])
 @pytest.mark.parametrize("disturbances", [None, ALL])
-def test_targets_are_of_the_seed_alone_whatever_disturbs(
+def test_targets_depend_on_the_seed_and_not_on_disturbances(
     seed: int, disturbances: Disturbances | None
 ) -> None:
-    """In this episode and in later ones; drawn here once more."""
+    """In the first episode and in later ones; the test draws them again."""
     rng, space = np.random.default_rng(seed), make_space("anchor", SMALL)
     expected = [space.sample(rng, 2) for _ in range(4)]
     np.testing.assert_array_equal(targets(disturbances, seed, 4), expected)
 
 
 @pytest.mark.parametrize("seed", [0, 5])
-def test_a_seed_given_again_begins_the_disturbances_anew(seed: int) -> None:
+def test_the_same_seed_again_repeats_the_disturbances(seed: int) -> None:
     env, runs = TaskVectorEnv(2, SMALL, disturbances=ALL), []
     for _ in range(2):
         first, _ = env.reset(seed=seed)
@@ -73,8 +73,8 @@ def test_a_target_moves_by_the_time_step_of_its_robot(frame_skip: int) -> None:
 
 
 @pytest.mark.parametrize(("speed", "expected"), [(0.04, False), (0.11, True)])
-def test_a_task_is_told_how_the_target_moves(speed: float, expected: bool) -> None:
-    """The tip is idle, and the target comes by at 0.05 to 0.1 m/s."""
+def test_a_task_judges_the_speed_relative_to_the_target(speed: float, expected: bool) -> None:
+    """The tip is idle, and the target passes it at 0.05 to 0.1 m/s."""
     task = replace(make_task("capture", motion="line"), speed=speed)
     env = TaskVectorEnv(2, SMALL, task=task, autoreset_mode="Disabled")
     observation, _ = env.reset(seed=0)
@@ -87,8 +87,8 @@ def test_a_task_is_told_how_the_target_moves(speed: float, expected: bool) -> No
     env.close()
 
 
-def test_until_something_late_arrives_the_first_observation_stands_as_it_was_seen() -> None:
-    """Noise is of the measurement, and what is late has been measured already."""
+def test_the_first_observation_is_repeated_until_a_late_one_arrives() -> None:
+    """Its noise is not drawn again: noise belongs to the measurement, before the delay."""
     through = Channel(Disturbances(base_noise=0.1, observation_delay=3), np.random.default_rng(0))
     size = observation_size(load_robot("paper"))
     sent = np.arange(6 * 2 * size, dtype=float).reshape(6, 2, size)
@@ -100,8 +100,8 @@ def test_until_something_late_arrives_the_first_observation_stands_as_it_was_see
 
 
 @pytest.mark.parametrize("backend", backend_names())
-def test_an_episode_is_on_its_plant_from_its_first_step_on(backend: str) -> None:
-    """What is left of the plant before, and of the commands on their way to it, must not show."""
+def test_an_episode_has_its_own_plant_from_the_first_step(backend: str) -> None:
+    """Nothing of the previous plant is left, nor of the commands that were under way to it."""
     randomization = Randomization(SMALL, 2, 1.0, np.random.default_rng(0))
     env = TaskVectorEnv(2, SMALL, backend, max_steps=6, randomization=randomization)
     commands = np.random.default_rng(1).uniform(-3, 0, (6, 2, SMALL.num_cables))

@@ -1,4 +1,4 @@
-"""The Gymnasium environments: Gymnasium's own checks, hand-made episodes, and copies against single robots."""
+"""The Gymnasium environments: Gymnasium's own checks, and episodes with known outcomes."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ from cdcsr.tasks.observation import BASE_POSITION, CABLE_TRAVEL, DISTANCE, TARGE
 
 both = pytest.mark.parametrize("backend", backend_names())
 TIP = [0.0, 0.0, 2.7]
-"""Of the paper's robot when it is straight."""
+"""The tip of the paper's robot when it is straight, in [m]."""
 IDLE = np.zeros(8)
 
 
@@ -37,22 +37,23 @@ def vector() -> Iterator[VectorEnv]:
 
 
 def tolerance(backend: str) -> float:
-    """Between two runs of the same commands: MuJoCo repeats itself to the bit."""
+    """Return how far two runs of the same commands may differ; MuJoCo repeats itself to the bit."""
     return 0.0 if backend == "mujoco" else 1e-9
 
 
-# --- Gymnasium's conventions -------------------------------------------------------------------------------------
-
-
 @both
-@pytest.mark.parametrize("robot", shipped_robots())
+@pytest.mark.parametrize(
+    ("name", "robot"),
+    [*(("Reach", robot) for robot in shipped_robots()), ("Capture", "paper"), ("Follow", "paper")],
+)
 @pytest.mark.filterwarnings(
     "ignore:.*we recommend using a symmetric and normalized space:UserWarning"
 )
 @pytest.mark.filterwarnings("ignore:.*A Box observation space m.* value is -?infinity:UserWarning")
-def test_gymnasium_finds_nothing_wrong(robot: str, backend: str) -> None:
-    """But for two recommendations: the paper's action is [-eta, 0], and a free-floating robot has no bounds."""
-    env = gymnasium.make("cdcsr/Reach-v0", robot=robot, backend=backend).unwrapped
+def test_gymnasium_finds_nothing_wrong(name: str, robot: str, backend: str) -> None:
+    """Two recommendations are ignored: the paper's action space is [-eta, 0], and a free-floating
+    robot has no bounds."""
+    env = gymnasium.make(f"cdcsr/{name}-v0", robot=robot, backend=backend).unwrapped
     check_env(env, skip_render_check=True)
 
 
@@ -67,7 +68,7 @@ def test_every_kind_of_task_is_registered_with_its_first_task() -> None:
 
 
 def test_both_environments_have_the_same_keyword_arguments() -> None:
-    """An editor shows those of the one robot from EnvOptions."""
+    """EnvOptions describes those of both."""
     own = {"self", "num_envs", "autoreset_mode"}
     assert (
         set(get_type_hints(EnvOptions)) == set(signature(TaskVectorEnv.__init__).parameters) - own
@@ -101,9 +102,6 @@ def test_the_same_seed_gives_the_same_episodes(backend: str) -> None:
     assert (first[0, TARGET] != run(6)[0, TARGET]).all()
 
 
-# --- episodes by hand --------------------------------------------------------------------------------------------
-
-
 @both
 @pytest.mark.parametrize(
     ("reward", "success", "failure"), [("sparse", 1.0, 0.0), ("dense", 1 - 0.0299, -0.0301)]
@@ -111,7 +109,7 @@ def test_the_same_seed_gives_the_same_episodes(backend: str) -> None:
 def test_success_is_within_the_threshold_of_the_tip(
     backend: str, reward: str, success: float, failure: float
 ) -> None:
-    """An idle robot's tip stays where it is: 0.0299 m from the target is success, 0.0301 m is not."""
+    """An idle tip stays in place: 0.0299 m from the target is a success, 0.0301 m is not."""
     env = gymnasium.make("cdcsr/Reach-v0", backend=backend, reward=reward)
     _, info = env.reset(options={"target": [0.0299, 0, 2.7]})
     assert info == {"is_success": True, "distance": pytest.approx(0.0299)}
@@ -130,7 +128,7 @@ def test_success_is_within_the_threshold_of_the_tip(
 
 @pytest.mark.parametrize(("frame_skip", "actions"), [(1, 250), (3, 83), (20, 12), (250, 1)])
 def test_an_episode_lasts_250_simulation_steps(frame_skip: int, actions: int) -> None:
-    """Less what does not fill a last action: 3 x 83 = 249."""
+    """Steps that do not fill a whole action are left out: 3 x 83 = 249."""
     env = gymnasium.make("cdcsr/Reach-v0", frame_skip=frame_skip)
     env.reset(options={"target": [0, 1, 1]})
     ends = [env.step(IDLE)[2:4] for _ in range(actions)]
@@ -139,7 +137,7 @@ def test_an_episode_lasts_250_simulation_steps(frame_skip: int, actions: int) ->
     time = env.unwrapped.batch.simulation.state().time[0]
     assert time == pytest.approx(actions * frame_skip * 0.0025)
     env.reset()
-    assert env.step(IDLE)[3] == (actions == 1)  # the count begins anew
+    assert env.step(IDLE)[3] == (actions == 1)  # the count starts again
     env.close()
 
 
@@ -169,9 +167,6 @@ def test_centers_and_threshold_reach_space_and_task() -> None:
     np.testing.assert_array_equal(info["is_success"], distance <= 0.005)
     assert 0 < info["is_success"].sum() < 20
     env.close()
-
-
-# --- many robots -------------------------------------------------------------------------------------------------
 
 
 def test_vector_spaces_are_batches(vector: VectorEnv) -> None:
@@ -210,8 +205,8 @@ def test_each_copy_is_a_single_env(backend: str, frame_skip: int) -> None:
     one.close()
 
 
-def test_a_finished_episode_gives_way_to_the_next_in_the_same_step(vector: VectorEnv) -> None:
-    """Copy 3 succeeds at once, the others run out of time in their sixth step, copy 3 in the step after."""
+def test_the_next_episode_begins_in_the_step_that_ends_one(vector: VectorEnv) -> None:
+    """Copy 3 succeeds at once. The others run out of time in their sixth step, copy 3 one later."""
     far = [0.0, 1.0, 1.0]
     targets = np.array([far, far, far, TIP, far])
     vector.reset(seed=0, options={"targets": targets})
@@ -245,10 +240,12 @@ def test_a_finished_episode_gives_way_to_the_next_in_the_same_step(vector: Vecto
     np.testing.assert_array_equal(observation[:, CABLE_TRAVEL.start] < 0, third)
     _, _, _, truncated, info = vector.step(idle)
     np.testing.assert_array_equal(truncated, third)
-    assert info["final_obs"][3, CABLE_TRAVEL.start] < 0  # no other copy's end has moved this one
+    assert (
+        info["final_obs"][3, CABLE_TRAVEL.start] < 0
+    )  # the end of the other episodes did not move this copy
 
 
-def test_infos_can_be_told_apart_by_gymnasium(vector: VectorEnv) -> None:
+def test_gymnasium_can_split_the_info_by_robot(vector: VectorEnv) -> None:
     lists = DictInfoToList(vector)
     _, infos = lists.reset(options={"targets": np.array([TIP] + [[0, 1, 1]] * 4)})
     assert [info["is_success"] for info in infos] == [True] + [False] * 4
@@ -258,7 +255,7 @@ def test_infos_can_be_told_apart_by_gymnasium(vector: VectorEnv) -> None:
     assert all(set(info) == {"is_success", "distance"} for info in infos[1:])
 
 
-def test_without_autoreset_episodes_go_on_until_told() -> None:
+def test_without_autoreset_episodes_go_on_until_they_are_reset() -> None:
     env = gymnasium.make_vec("cdcsr/Reach-v0", num_envs=3, autoreset_mode="Disabled", max_steps=2)
     assert env.metadata["autoreset_mode"] is AutoresetMode.DISABLED
     env.reset(options={"targets": np.array([[0, 1, 1]] * 3)})
@@ -283,7 +280,7 @@ def test_without_autoreset_episodes_go_on_until_told() -> None:
 
 
 def test_disturbances_act_between_policy_and_robot() -> None:
-    """With no observation arriving, the first one stands still; noise moves robots differently under one command."""
+    """If no observation arrives, the first one stays; noise moves the robots differently."""
     env = TaskVectorEnv(2, disturbances=Disturbances(action_noise=0.5, packet_loss=1.0))
     first, _ = env.reset(seed=0)
     last = first
@@ -296,7 +293,7 @@ def test_disturbances_act_between_policy_and_robot() -> None:
     env.close()
 
 
-def test_the_seed_decides_the_disturbances_too() -> None:
+def test_the_seed_determines_the_disturbances_too() -> None:
     env = TaskVectorEnv(
         3, disturbances=Disturbances(action_noise=0.5, base_noise=0.1, packet_loss=0.3)
     )
@@ -307,9 +304,6 @@ def test_the_seed_decides_the_disturbances_too() -> None:
     env.close()
     np.testing.assert_array_equal(runs[0], runs[1])
     assert (runs[0][0][:, BASE_POSITION] != runs[2][0][:, BASE_POSITION]).all()
-
-
-# --- mistakes ----------------------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize(
@@ -328,12 +322,12 @@ def test_the_seed_decides_the_disturbances_too() -> None:
         ({"num_envs": 0}, "at least one copy, not 0"),
     ],
 )
-def test_mistakes_in_arguments_are_told(kwargs: dict[str, Any], message: str) -> None:
+def test_wrong_arguments_are_errors(kwargs: dict[str, Any], message: str) -> None:
     with pytest.raises(CdcsrError, match=message):
         gymnasium.make_vec("cdcsr/Reach-v0", **kwargs)
 
 
-def test_mistakes_in_reset_options_are_told(vector: VectorEnv) -> None:
+def test_wrong_reset_options_are_errors(vector: VectorEnv) -> None:
     with pytest.raises(CdcsrError, match=r"Unknown reset option 'target'\. Did you mean 'targets'"):
         vector.reset(options={"target": np.array(TIP)})
     with pytest.raises(CdcsrError, match=r"'targets' has the shape \(5, 3\), not \(3,\)"):

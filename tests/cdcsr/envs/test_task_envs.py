@@ -1,4 +1,4 @@
-"""What holds in every task and every engine, and that an environment goes on from its state to the bit."""
+"""Invariants of every task in every engine; an environment resumes from its state to the bit."""
 
 from __future__ import annotations
 
@@ -7,7 +7,6 @@ from typing import Any
 import gymnasium
 import numpy as np
 import pytest
-from gymnasium.utils.env_checker import check_env
 
 from cdcsr.envs.disturbances import Disturbances
 from cdcsr.envs.gym_env import TaskEnv, TaskVectorEnv
@@ -21,16 +20,6 @@ from cdcsr.tasks.observation import DISTANCE, TARGET, TIP_POSITION, observation_
 engines = pytest.mark.parametrize("backend", backend_names())
 every_task = pytest.mark.parametrize("task", TASKS)
 _SMALL: dict[str, Any] = {"robot": "planar-single"}
-
-
-@engines
-@pytest.mark.parametrize("name", ["Reach", "Capture", "Follow"])
-@pytest.mark.filterwarnings(
-    "ignore:.*we recommend using a symmetric and normalized space:UserWarning"
-)
-@pytest.mark.filterwarnings("ignore:.*A Box observation space m.* value is -?infinity:UserWarning")
-def test_gymnasium_finds_nothing_wrong(name: str, backend: str) -> None:
-    check_env(gymnasium.make(f"cdcsr/{name}-v0", backend=backend).unwrapped, skip_render_check=True)
 
 
 @pytest.mark.parametrize(
@@ -57,10 +46,8 @@ def test_ids_give_tasks(name: str, arguments: dict[str, Any], task: str, steps: 
 
 @engines
 @every_task
-def test_the_target_is_where_its_motion_takes_it_and_the_policy_sees_where(
-    task: str, backend: str
-) -> None:
-    """Whatever number of steps an action takes; its velocity is seen nowhere."""
+def test_the_target_moves_and_the_policy_observes_its_position(task: str, backend: str) -> None:
+    """The path does not depend on the number of steps in an action."""
     seen: list[Any] = []
     for skip in (1, 4):
         env = TaskVectorEnv(3, backend=backend, task=task, frame_skip=skip, **_SMALL)
@@ -86,7 +73,7 @@ def test_the_target_is_where_its_motion_takes_it_and_the_policy_sees_where(
 @engines
 @every_task
 def test_an_environment_goes_on_from_its_state_to_the_bit(task: str, backend: str) -> None:
-    """Late and noisy observations, late commands, and episodes that end and begin on the way."""
+    """With late and noisy observations, late commands, and episodes that end meanwhile."""
     arguments: dict[str, Any] = {
         "backend": backend,
         "task": task,
@@ -101,7 +88,7 @@ def test_an_environment_goes_on_from_its_state_to_the_bit(task: str, backend: st
         env.simulation.set_parameters(range(3), Parameters(command_delay=np.array([0, 2, 3])))
     actions = np.random.default_rng(0).uniform(-3, 0, (40, 3, first.robot.num_cables))
     first.reset(seed=1)
-    # Copies whose episodes end at different times.
+    # Episodes of different copies end at different times.
     first.reset(options={"reset_mask": [True, False, False]})
     for action in actions[:17]:
         first.step(action)
@@ -119,7 +106,7 @@ def test_an_environment_goes_on_from_its_state_to_the_bit(task: str, backend: st
             ours[4]["distance"], theirs[4]["distance"], rtol=0, atol=tolerance
         )
     for name, rows in kept.items():
-        np.testing.assert_array_equal(rows, state[name])  # a state stays as it was
+        np.testing.assert_array_equal(rows, state[name])  # a state does not change later
     first.close()
     second.close()
 
@@ -131,9 +118,9 @@ def test_there_is_no_state_before_the_first_episode() -> None:
     env.close()
 
 
-def test_a_packed_generator_draws_on() -> None:
+def test_a_restored_generator_draws_the_same_numbers() -> None:
     rng, other = np.random.default_rng(5), np.random.default_rng(6)
-    rng.integers(10, dtype=np.int32)  # leaves half a draw behind
+    rng.integers(10, dtype=np.int32)  # half of a 64-bit draw is left
     unpack_generator(other, pack_generator(rng))
     assert other.bit_generator.state == rng.bit_generator.state
     np.testing.assert_array_equal(other.random(5), rng.random(5))
@@ -141,7 +128,7 @@ def test_a_packed_generator_draws_on() -> None:
 
 @engines
 def test_capture_of_a_target_at_the_idle_tip(backend: str) -> None:
-    """Forty steps, and with an action every 8 steps, five actions; the next episode counts from zero."""
+    """It takes 40 steps, or 5 actions of 8 steps; the next episode counts from zero."""
     for skip, actions in ((1, 40), (8, 5)):
         env = TaskVectorEnv(2, backend=backend, task="capture", frame_skip=skip)
         _, info = env.reset(options={"targets": np.array([[0, 0, 2.7], [0, 1, 1]])})
@@ -157,8 +144,8 @@ def test_capture_of_a_target_at_the_idle_tip(backend: str) -> None:
 
 
 @engines
-def test_follow_ends_when_time_is_up_and_says_how_it_went(backend: str) -> None:
-    """An idle tip on a target at rest, and one that is not on it."""
+def test_follow_ends_when_time_is_up_and_reports_success(backend: str) -> None:
+    """One idle tip is on a target at rest, and one is not."""
     env = TaskVectorEnv(
         2, backend=backend, task="follow-line", motion="rest", max_steps=300, frame_skip=10
     )

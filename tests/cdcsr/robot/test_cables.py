@@ -15,7 +15,7 @@ def robot(request: pytest.FixtureRequest) -> Robot:
 
 
 def random_state(robot: Robot, seed: int, shape: tuple[int, ...] = ()) -> tuple[Array, Array]:
-    """Travel and hinge angles, both within what the robot can reach."""
+    """Return travel in [m] and hinge angles in [rad] that the robot can reach."""
     random = np.random.default_rng(seed)
     travel = random.uniform(-0.05, 0.05, (*shape, robot.num_cables))
     return travel, random.uniform(-0.8, 0.8, (*shape, robot.num_hinges))
@@ -38,7 +38,7 @@ def turn_y(angle: float) -> Array:
 
 
 def brute_force_length(robot: Robot, cable: int, travel: Array, hinges: Array) -> float:
-    """One cable's length, from the world position of its slider and of each of its guides."""
+    """Return a cable's length from the positions of its slider and of each of its guides."""
     owners = [s for s, segment in enumerate(robot.segments) for _ in segment.cables.angles_deg]
     own = owners[cable]
     cables, servo = robot.segments[own].cables, robot.segments[own].servo
@@ -61,8 +61,8 @@ def brute_force_length(robot: Robot, cable: int, travel: Array, hinges: Array) -
 
 
 def test_rest_lengths_of_the_paper_robot() -> None:
-    # 0.2 m from slider to first guide; 0.02 m up to the face, less the 0.02 m that the anchor lies below the
-    # last link's end; 6 or 12 links of 0.2 m.
+    # 0.2 m from slider to first guide, and 6 or 12 links of 0.2 m: the first guide lies as far
+    # below the face of the base as the anchor lies below the end of the last link.
     route = routing(load_robot("paper"))
     np.testing.assert_allclose(route.rest_length, [1.4] * 4 + [2.6] * 4, rtol=1e-15)
 
@@ -107,7 +107,7 @@ def test_pulling_a_slider_lengthens_its_own_cable_and_no_other(robot: Robot) -> 
     np.testing.assert_array_equal(jacobian[:, : robot.num_cables], -np.eye(robot.num_cables))
 
 
-def test_a_cable_knows_nothing_of_the_joints_beyond_its_anchor(robot: Robot) -> None:
+def test_a_cable_does_not_depend_on_joints_beyond_its_anchor(robot: Robot) -> None:
     route = routing(robot)
     travel, hinges = random_state(robot, 0)
     _, others = random_state(robot, 1)
@@ -127,7 +127,7 @@ def test_cables_end_on_their_own_segment(robot: Robot) -> None:
     np.testing.assert_array_equal(routing(robot).joints, expected)
 
 
-def test_batches_give_what_single_states_give(robot: Robot) -> None:
+def test_batches_give_the_same_as_single_states(robot: Robot) -> None:
     route = routing(robot)
     travel, hinges = random_state(robot, 0, (2, 3))
     lengths, jacobians = cable_lengths(route, travel, hinges), cable_jacobian(route, travel, hinges)

@@ -1,4 +1,4 @@
-"""The description: reading and writing it is exact, and what is wrong with it is said in full, line by line."""
+"""The description is read and written exactly, and every error in it is reported with its line."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from cdcsr.errors import CdcsrError
 from cdcsr.robot.description import Robot, load_robot, parse_robot, shipped_robots
 
 _SHIPPED = (resources.files("models") / "robots" / "paper.toml").read_text("utf-8")
-# Comments of its own, so that line numbers expected below do not follow those of the shipped file.
+# With other comments, so that the line numbers below do not depend on those of the shipped file.
 PAPER = "# A robot.\n" + "".join(
     "# A comment.\n" * line.startswith("inertia = [40.0") + line
     for line in _SHIPPED.splitlines(keepends=True)
@@ -22,7 +22,7 @@ PAPER = "# A robot.\n" + "".join(
 
 
 def broken(*edits: tuple[str, str]) -> str:
-    """The message for the paper's robot with some text replaced, each at its first place."""
+    """Return the error for the paper's robot after replacing the first occurrence of some texts."""
     text = PAPER
     for old, new in edits:
         assert old in text
@@ -42,7 +42,7 @@ def positive(low: float = 1e-3, high: float = 1e3) -> st.SearchStrategy[float]:
 
 @st.composite
 def inertias(draw: st.DrawFn) -> tuple[float, float, float]:
-    """Any rigid body's: each moment is the sum of two of three second moments of mass."""
+    """Draw the inertia of a rigid body: each moment is the sum of two second moments of mass."""
     x, y, z = draw(positive()), draw(positive()), draw(positive())
     return (y + z, x + z, x + y)
 
@@ -160,19 +160,20 @@ def test_all_broken_rules_are_reported_at_once_each_with_its_line() -> None:
     assert head == "my.toml"
     assert errors.split("; ") == [
         "line 7, base.mass: should be greater than 0 (found -5.0)",
-        "line 9, base.inertia: no rigid body has this inertia: 100 exceeds 35 + 40 (the largest principal moment is "
-        "at most the sum of the other two) (found [40.0, 35.0, 100.0])",
+        "line 9, base.inertia: no rigid body has this inertia: 100 exceeds 35 + 40 (the largest "
+        "principal moment is at most the sum of the other two) (found [40.0, 35.0, 100.0])",
         "line 19, segments[0].links: should be greater than or equal to 1 (found 0)",
         "line 21, segments[0].link.radius: Field required",
         "line 23, segments[0].link.radus: unknown key (found 0.02)",
         "line 30, segments[0].joint.limit: should be a valid number (found '1.5')",
         "line 40, segments[0].servo.gain: should be a finite number (found nan)",
         "line 41, segments[0].servo.eta: should be a valid number (found True)",
-        "line 12, constraint.recovery_time: must be at least two time steps (0.005 s) (found 0.004)",
-        "line 35, segments[0].cables.guide_offset: puts a guide outside its link: must be below half of "
-        "segments[0].link.length (0.015 m) (found 0.02)",
-        "line 62, segments[1].cables.guide_offset: puts a guide outside its link: must be below half of "
-        "segments[0].link.length (0.015 m) (found 0.02)",
+        "line 12, constraint.recovery_time: must be at least two time steps (0.005 s) "
+        "(found 0.004)",
+        "line 35, segments[0].cables.guide_offset: puts a guide outside its link: must be below "
+        "half of segments[0].link.length (0.015 m) (found 0.02)",
+        "line 62, segments[1].cables.guide_offset: puts a guide outside its link: must be below "
+        "half of segments[0].link.length (0.015 m) (found 0.02)",
     ]
 
 
@@ -207,13 +208,14 @@ def test_all_broken_rules_are_reported_at_once_each_with_its_line() -> None:
         (
             "offset = 0.2\n",
             "offset = 0.6\n",
-            "line 43, segments[0].servo.offset: puts the slider outside the base: must be at most 0.58 m (found 0.6)",
+            "line 43, segments[0].servo.offset: puts the slider outside the base: must be at most "
+            "0.58 m (found 0.6)",
         ),
         (
             "guide_offset = 0.02",
             "guide_offset = 0.1",
-            "line 35, segments[0].cables.guide_offset: puts a guide outside its link: must be below half of "
-            "segments[0].link.length (0.1 m) (found 0.1)",
+            "line 35, segments[0].cables.guide_offset: puts a guide outside its link: must be "
+            "below half of segments[0].link.length (0.1 m) (found 0.1)",
         ),
     ],
 )
@@ -238,12 +240,13 @@ def test_text_that_is_not_toml() -> None:
     assert broken(("[base]", "[base")).startswith("my.toml is not valid TOML: ")
 
 
-def test_an_unknown_shipped_robot_is_answered_with_a_suggestion() -> None:
+def test_an_unknown_robot_gets_a_suggestion() -> None:
     with pytest.raises(CdcsrError) as caught:
         load_robot("papr")
     known = ", ".join(shipped_robots())
     assert str(caught.value) == (
-        f"Unknown robot 'papr'. Did you mean 'paper'? Available: {known}. Or give a path ending in .toml."
+        f"Unknown robot 'papr'. Did you mean 'paper'? Available: {known}. "
+        "Or give a path ending in .toml."
     )
 
 

@@ -1,4 +1,4 @@
-"""The delay line, counted by hand."""
+"""The delay line against numbers counted by hand."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from cdcsr.simulation.delay_line import DelayLine
 
 
 def numbers(line: DelayLine, first: int, count: int) -> np.ndarray:
-    """What arrives at each copy when they are sent first, first + 1, ...; shape (count, num)."""
+    """Send first, first + 1, ... to each copy and return what arrives, shape (count, num)."""
     return np.stack(
         [line.push(np.full((3, 1), float(k)))[:, 0] for k in range(first, first + count)]
     )
@@ -50,5 +50,5 @@ def test_a_line_continues_from_what_another_had_sent() -> None:
     numbers(one, 1, 6)
     other.sent = one.sent
     np.testing.assert_array_equal(numbers(other, 7, 2), [[7, 5, 5], [8, 6, 6]])
-    one.sent = other.sent  # the older ones are not known
+    one.sent = other.sent  # the older rows are not known
     np.testing.assert_array_equal(numbers(one, 9, 2), [[9, 7, 0], [10, 8, 0]])

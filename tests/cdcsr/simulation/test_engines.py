@@ -1,4 +1,4 @@
-"""How many processors a process may use."""
+"""Finding engines, and how many processors they may use."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Domain randomization: what is drawn, for whom, and what it must not touch."""
+"""Domain randomization: its ranges, which copies get new plants, and what it must not change."""
 
 from __future__ import annotations
 
@@ -30,15 +30,14 @@ def test_draws_fill_their_ranges(robot: Robot, scale: float) -> None:
         logarithm = np.log(drawn[name]) / (scale * np.log(width))
         assert 0.97 < logarithm.max() <= 1
         assert -1 <= logarithm.min() < -0.97
-        assert abs(logarithm.mean()) < 4 / np.sqrt(
-            3 * num
-        )  # four standard errors of a uniform's mean
+        # Four standard errors of the mean of a uniform variable.
+        assert abs(logarithm.mean()) < 4 / np.sqrt(3 * num)
     offset = drawn["rest_length_offset"]
     assert 0.99 * scale * REST_LENGTH_OFFSET < np.abs(offset).max() <= scale * REST_LENGTH_OFFSET
     assert set(drawn["command_delay"]) == set(range(round(scale * COMMAND_DELAY) + 1))
 
 
-def test_only_those_that_begin_get_a_new_plant(robot: Robot) -> None:
+def test_only_copies_that_begin_an_episode_get_a_new_plant(robot: Robot) -> None:
     simulation = make_simulation(robot, "mujoco", 4)
     randomization = _randomization(robot, 4, 1.0)
     randomization.begin(simulation, np.arange(4))
@@ -52,7 +51,7 @@ def test_only_those_that_begin_get_a_new_plant(robot: Robot) -> None:
     simulation.close()
 
 
-def test_targets_do_not_depend_on_it(robot: Robot) -> None:
+def test_targets_do_not_depend_on_randomization(robot: Robot) -> None:
     targets = []
     for randomization in (None, _randomization(robot, 3, 1.0)):
         env = TaskVectorEnv(3, robot, max_steps=2, randomization=randomization)
@@ -67,7 +66,7 @@ def test_targets_do_not_depend_on_it(robot: Robot) -> None:
 
 
 @pytest.mark.parametrize("scale", [0.0, 1.0])
-def test_scale_zero_is_off_to_the_bit_and_one_is_not(robot: Robot, scale: float) -> None:
+def test_scale_zero_changes_no_bit_and_scale_one_does(robot: Robot, scale: float) -> None:
     commands = np.random.default_rng(1).uniform(-1, 0, (20, 2, robot.num_cables))
     observations = []
     for randomization in (None, _randomization(robot, 2, scale)):

@@ -1,4 +1,4 @@
-"""Following, at the edges: shares that are no whole actions, and a base that moves."""
+"""Edge cases of following: shares of a few actions, and a base that moves."""
 
 from __future__ import annotations
 
@@ -14,27 +14,20 @@ from cdcsr.tasks.observation import BASE_POSITION, BASE_QUATERNION, DISTANCE, ob
     ("counted", "least"), [(1, 1), (5, 5), (9, 9), (10, 9), (11, 10), (19, 18), (20, 18)]
 )
 def test_nine_in_ten_is_no_less(counted: int, least: int) -> None:
-    """Of 5 actions 4 are 80 %, so all 5 must be on target."""
+    """For example 4 of 5 actions are 80 %, so all 5 must be on target."""
     task = Follow(settling=0.0)
     for hits in range(counted + 1):
-        memory = task.new_counts(1)
-        success = False
-        for k in range(counted):
-            on_target = np.array([k < hits])
-            task._count(on_target, memory)
-            success = bool(task._verdict(on_target, memory).success[0])
+        x = np.where(np.arange(counted + 1) <= hits, 0.0, 1.0)  # the first is before any action
+        tip = x[:, None] * [1.0, 0.0, 0.0]
+        success = task.first_success(tip, np.zeros_like(tip), np.zeros(3)) == counted
         assert success == (hits >= least) == (hits / counted >= 0.9)
 
 
-def test_a_quiet_follower_is_rewarded_by_how_the_base_is_after_each_action() -> None:
+def test_a_quiet_follower_is_rewarded_only_while_the_base_is_quiet() -> None:
     rows = np.zeros((5, observation_size(load_robot("paper"))))
     rows[:, BASE_QUATERNION.start] = 1.0
     rows[:, DISTANCE] = [0.5, 0.01, 0.01, 0.5, 0.01]
-    rows[2, BASE_POSITION.start] = 0.01  # after the second action alone
-    assert make_task("follow-line", quiet=True).episode_rewards(rows, False).tolist() == [
-        1,
-        0,
-        0,
-        1,
-    ]
-    assert make_task("follow-line").episode_rewards(rows, False).tolist() == [1, 1, 0, 1]
+    rows[2, BASE_POSITION.start] = 0.01  # only after the second action
+    for quiet, expected in ((True, [1, 0, 0, 1]), (False, [1, 1, 0, 1])):
+        task = make_task("follow-line", quiet=quiet)
+        assert task.episode_rewards(rows, False).tolist() == expected

@@ -1,4 +1,4 @@
-"""How targets move, against formulas."""
+"""Target motions against closed formulas."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ STEP = 0.0025
 
 
 def run(name: str, steps: int, num: int = 6, seed: int = 0) -> tuple[Array, Array, Array]:
-    """Positions and velocities, shape (steps + 1, num, 3), and what was remembered at first."""
+    """Return positions and velocities, shape (steps + 1, num, 3), and the first memory."""
     rng, motion = np.random.default_rng(seed), make_motion(name)
     position = rng.normal(size=(num, 3))
     velocity, memory = motion.begin(rng, position)
@@ -25,7 +25,7 @@ def run(name: str, steps: int, num: int = 6, seed: int = 0) -> tuple[Array, Arra
 
 @pytest.mark.parametrize("name", MOTIONS)
 def test_velocity_is_the_rate_of_the_position(name: str) -> None:
-    """By central differences; a random acceleration jumps now and then, by 0.8 m/s^2 at most."""
+    """Checked by central differences; a random acceleration jumps by 0.8 m/s^2 at most."""
     position, velocity, _ = run(name, 1000)
     rate = (position[2:] - position[:-2]) / (2 * STEP)
     np.testing.assert_allclose(velocity[1:-1], rate, atol=0.8 * STEP if name == "random" else 2e-6)
@@ -43,7 +43,7 @@ def test_straight_motions_are_start_plus_velocity_times_time(name: str) -> None:
         assert velocity[0, :, 2].max() <= -0.05
     else:
         assert speed.min() < 0.005
-        assert np.abs(velocity[0].mean(axis=0)).max() < 0.02  # in all directions alike
+        assert np.abs(velocity[0].mean(axis=0)).max() < 0.02  # no direction is preferred
 
 
 @pytest.mark.parametrize("name", ["tumble", "circle"])
@@ -64,15 +64,15 @@ def test_turning_keeps_distance_to_the_centre_and_height_along_the_axis(name: st
         np.testing.assert_allclose(
             position[..., 2], np.broadcast_to(position[0, :, 2], position.shape[:2])
         )
-        # 2.5 rad/s for 2.5 s: 6.25 rad, back to where it began but for 0.033 rad.
+        # 2.5 rad/s for 2.5 s is 6.25 rad: a whole turn except for 0.033 rad.
         short = 2 * radius[0] * np.sin((2 * np.pi - 6.25) / 2)
         np.testing.assert_allclose(
             np.linalg.norm(position[1000] - position[0], axis=1), short, atol=1e-9
         )
 
 
-def test_a_random_acceleration_is_held_and_then_another() -> None:
-    """What the spring and the damper do not explain is constant for 100 steps, and another in the next 100."""
+def test_each_random_acceleration_lasts_for_100_steps() -> None:
+    """The acceleration without spring and damper is constant for 100 steps, then another."""
     position, velocity, memory = run("random", 300, num=3)
     rate = np.diff(velocity, axis=0) / STEP
     drawn = rate + 2.0 * (position[:-1] - position[0]) + 1.0 * velocity[:-1]
@@ -84,7 +84,7 @@ def test_a_random_acceleration_is_held_and_then_another() -> None:
     assert (drawn[0] != drawn[100]).all()
 
 
-def test_a_wandering_target_stays_near() -> None:
+def test_a_wandering_target_stays_near_its_start() -> None:
     position, velocity, _ = run("random", 1000, num=300)
     assert np.linalg.norm(position - position[0], axis=2).max() < 0.3
     assert np.linalg.norm(velocity, axis=2).max() < 0.3

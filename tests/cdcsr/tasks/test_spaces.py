@@ -1,4 +1,4 @@
-"""Operation spaces: where targets lie, and how densely."""
+"""Operation spaces: targets lie inside and are uniform."""
 
 from __future__ import annotations
 
@@ -17,12 +17,11 @@ from cdcsr.tasks.spaces import (
     make_space,
     wider_targets,
 )
+from tests.support.distributions import LEAST_P, is_isotropic, is_uniform
 
 PAPER = load_robot("paper")
 CENTERS = np.array([[0.0, 0.0, 0.0], [10.0, 0.0, 0.0], [0.0, 20.0, 0.0]])
 NUM = 30_000
-LEAST_P = 1e-4
-"""Of the statistical tests; the seeds are fixed, so they pass or fail for good."""
 
 
 def rng(seed: int = 0) -> np.random.Generator:
@@ -39,18 +38,18 @@ def test_every_space_has_its_name_and_repeats_with_the_seed(name: str) -> None:
 
 
 def test_anchor_fills_the_cuboid_evenly() -> None:
-    """Edge 0.2 m around (0.20, 0.10, 2.45) m, each coordinate uniform, and independent of the others."""
+    """Its edges are 0.2 m around (0.20, 0.10, 2.45) m; the coordinates are independent."""
     targets = make_space("anchor", PAPER).sample(rng(), NUM)
     for axis, center in enumerate((0.2, 0.1, 2.45)):
         place = (targets[:, axis] - (center - 0.1)) / 0.2
         assert place.min() >= 0
         assert place.max() <= 1
-        assert stats.kstest(place, "uniform").pvalue > LEAST_P
-    # The correlation of independent columns is within 4 / sqrt(NUM).
+        assert is_uniform(place)
+    # Correlations of independent columns are within four standard errors, 4 / sqrt(NUM).
     assert np.abs(np.corrcoef(targets.T) - np.eye(3)).max() < 4 / np.sqrt(NUM)
 
 
-def test_anchor_takes_each_edge_of_the_workspace() -> None:
+def test_anchor_has_the_edges_of_the_workspace() -> None:
     robot = PAPER.model_copy(
         update={"workspace": PAPER.workspace.model_copy(update={"size": (0.4, 0.0, 0.1)})}
     )
@@ -59,7 +58,7 @@ def test_anchor_takes_each_edge_of_the_workspace() -> None:
 
 
 @pytest.mark.parametrize(("name", "radius"), [("floating", 0.01), ("spatter", 0.15)])
-def test_around_fills_balls_evenly(name: str, radius: float) -> None:
+def test_floating_and_spatter_fill_balls_evenly(name: str, radius: float) -> None:
     targets = make_space(name, PAPER, CENTERS).sample(rng(), NUM)
     apart = targets[:, None] - CENTERS
     nearest = np.linalg.norm(apart, axis=2).argmin(axis=1)
@@ -69,17 +68,15 @@ def test_around_fills_balls_evenly(name: str, radius: float) -> None:
     # Volume: an eighth lies within half the radius, and (r / radius)^3 is uniform.
     inner = int((distance <= radius / 2).sum())
     assert stats.binomtest(inner, NUM, 1 / 8).pvalue > LEAST_P
-    assert stats.kstest((distance / radius) ** 3, "uniform").pvalue > LEAST_P
-    # Archimedes: on a sphere, each coordinate of the direction is uniform.
-    for axis in range(3):
-        assert stats.kstest(offset[:, axis] / distance, "uniform", args=(-1, 2)).pvalue > LEAST_P
+    assert is_uniform((distance / radius) ** 3)
+    assert is_isotropic(offset)
     assert stats.chisquare(np.bincount(nearest)).pvalue > LEAST_P
 
 
 @pytest.mark.parametrize(
     ("axes", "dimensions"), [((True, True, True), 3), ((True, False, True), 2)]
 )
-def test_practice_moves_half_of_the_targets_evenly(
+def test_wider_targets_move_half_of_the_targets_evenly(
     axes: tuple[bool, bool, bool], dimensions: int
 ) -> None:
     inner = Points(np.array([[0.1, 0.2, 0.3]]))
@@ -88,19 +85,15 @@ def test_practice_moves_half_of_the_targets_evenly(
     moved = distance > 1e-12
     assert stats.binomtest(int(moved.sum()), NUM, 0.5).pvalue > LEAST_P
     # Within a ball (r / radius)^3 is uniform, within a disc its square.
-    assert stats.kstest((distance[moved] / 0.4) ** dimensions, "uniform").pvalue > LEAST_P
+    assert is_uniform((distance[moved] / 0.4) ** dimensions)
     assert np.array_equal(np.ptp(offset, axis=0) > 0, axes)
-    direction = offset[moved] / distance[moved, None]
-    if dimensions == 3:  # Archimedes, and no two coordinates go together
-        for axis in range(3):
-            assert stats.kstest(direction[:, axis], "uniform", args=(-1, 2)).pvalue > LEAST_P
-        assert np.abs(np.corrcoef(direction.T) - np.eye(3)).max() < 0.05
+    if dimensions == 3:
+        assert is_isotropic(offset[moved])
     else:
-        angle = np.arctan2(direction[:, 2], direction[:, 0])
-        assert stats.kstest(angle, "uniform", args=(-np.pi, 2 * np.pi)).pvalue > LEAST_P
+        assert is_uniform(np.arctan2(offset[moved, 2], offset[moved, 0]), -np.pi, np.pi)
 
 
-def test_practice_stays_in_the_plane_of_a_flat_workspace() -> None:
+def test_wider_targets_stay_in_the_plane_of_a_flat_workspace() -> None:
     inner, flat = Points(np.zeros((1, 3))), load_robot("planar-single")
     assert flat.workspace.size[1] == 0
     assert np.array_equal(
@@ -114,7 +107,7 @@ def test_practice_stays_in_the_plane_of_a_flat_workspace() -> None:
 
 @dataclass(frozen=True)
 class Points:
-    """A space of few targets."""
+    """A space of a few targets."""
 
     points: np.ndarray
     name: str = "points"
@@ -136,6 +129,7 @@ def test_centers_are_by_default_the_demonstrations_of_seed_0(name: str) -> None:
 def test_an_unknown_space_is_an_error() -> None:
     with pytest.raises(
         CdcsrError,
-        match=r"'spater'\. Did you mean 'spatter'\? Available: anchor, floating, spatter, workspace\.",
+        match=r"'spater'\. Did you mean 'spatter'\? "
+        r"Available: anchor, floating, spatter, workspace\.",
     ):
         make_space("spater", PAPER)

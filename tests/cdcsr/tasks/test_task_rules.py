@@ -1,4 +1,4 @@
-"""When a task succeeds: scripted episodes, judged by hand, and relabelling against playing them again."""
+"""Rules of the tasks: scripted episodes judged by hand, and relabelling against playing again."""
 
 from __future__ import annotations
 
@@ -28,7 +28,8 @@ SIZE = observation_size(load_robot("paper"))
 
 
 def state(tip: Array, velocity: Array, shift: Array | None = None, tilt: float = 0.0) -> State:
-    """Tips, shape (num, 3), and a base that has moved by `shift` and turned by `tilt` about y."""
+    """Return a state with given tips, shape (num, 3), and a base moved by `shift` in [m] and turned
+    by `tilt` about y in [rad]."""
     num, zero = len(tip), np.zeros((len(tip), 3))
     turned = np.array([np.cos(tilt / 2), 0, np.sin(tilt / 2), 0])
     return State(
@@ -47,20 +48,17 @@ def state(tip: Array, velocity: Array, shift: Array | None = None, tilt: float =
 
 
 def play(task: Task, tips: Array, speeds: Array, target_velocity: float = 0.0) -> list[Verdict]:
-    """Verdicts on one copy whose tip is at (x, 0, 0), moving along x, with the target at the origin."""
-    memory, verdicts = task.new_counts(1), []
+    """Return the verdicts on a tip that moves along x, with the target at the origin."""
+    counts, verdicts = task.new_counts(1), []
     for x, v in zip(tips, speeds, strict=True):
         now = state(np.array([[x, 0, 0]]), np.array([[v, 0, 0]]))
         distance = tip_distance(now, np.zeros((1, 3)))
-        verdicts.append(task.judge(now, np.array([[target_velocity, 0, 0]]), distance, memory))
+        verdicts.append(task.judge(now, np.array([[target_velocity, 0, 0]]), distance, counts))
     return verdicts
 
 
 def succeeded(verdicts: list[Verdict]) -> list[int]:
     return [i for i, verdict in enumerate(verdicts, start=1) if verdict.success[0]]
-
-
-# --- names -------------------------------------------------------------------------------------------------------
 
 
 def test_every_named_task_is_found_by_its_name() -> None:
@@ -90,16 +88,13 @@ def test_every_named_task_is_found_by_its_name() -> None:
         ("reach", {"threshold": 0.0}, "threshold must be positive, not 0"),
     ],
 )
-def test_mistakes_are_told(name: str, changes: dict[str, Any], message: str) -> None:
+def test_wrong_tasks_are_errors(name: str, changes: dict[str, Any], message: str) -> None:
     with pytest.raises(CdcsrError, match=message):
         make_task(name, **changes)
 
 
-# --- capture -----------------------------------------------------------------------------------------------------
-
-
 def test_capture_is_forty_steps_on_target_without_a_break() -> None:
-    """0.1 s at 0.0025 s: 39 are not enough, and one off the target, or too fast, begins the count anew."""
+    """0.1 s at 0.0025 s. After one step off the target, or too fast, the count starts again."""
     task, calm = make_task("capture"), np.zeros(200)
     near = np.full(200, 0.029)
     assert succeeded(play(task, near, calm))[0] == 40
@@ -118,7 +113,7 @@ def test_capture_ends_the_episode_and_is_rewarded_once_it_succeeds() -> None:
     assert all(v.on_target[0] for v in verdicts)
 
 
-def test_capture_looks_at_the_speed_relative_to_the_target() -> None:
+def test_capture_judges_the_speed_relative_to_the_target() -> None:
     task = make_task("capture-drift")
     moving = np.full(60, 0.3)
     assert succeeded(play(task, np.zeros(60), moving, target_velocity=0.25))[0] == 40
@@ -127,13 +122,10 @@ def test_capture_looks_at_the_speed_relative_to_the_target() -> None:
 
 
 def test_dwell_is_a_time_whatever_the_period() -> None:
-    """0.1 s are 20 actions of 0.005 s, and 6 of 0.0175 s, for five are 0.0875 s."""
+    """0.1 s are 20 actions of 0.005 s, and 6 of 0.0175 s, as five take only 0.0875 s."""
     for period, actions in ((0.005, 20), (0.0175, 6)):
         task = make_task("capture", period=period)
         assert succeeded(play(task, np.zeros(50), np.zeros(50)))[0] == actions
-
-
-# --- quiet -------------------------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize(
@@ -164,9 +156,6 @@ def test_base_errors_are_distance_and_angle() -> None:
     np.testing.assert_allclose(tilt, [0.3, 0.3], rtol=1e-12)
 
 
-# --- follow ------------------------------------------------------------------------------------------------------
-
-
 def follow(steps: int, off: list[int]) -> tuple[list[Verdict], Follow]:
     task = make_task("follow-line")
     assert isinstance(task, Follow)
@@ -176,7 +165,7 @@ def follow(steps: int, off: list[int]) -> tuple[list[Verdict], Follow]:
 
 
 def test_follow_is_nine_in_ten_actions_after_settling() -> None:
-    """The first 250 do not count. Of the next 100, ten may be off the target, and eleven may not."""
+    """The first 250 actions do not count. Of the next 100, ten may miss, eleven may not."""
     settling = list(range(1, 251))
     verdicts, _ = follow(350, settling + list(range(301, 311)))
     assert verdicts[-1].success[0]
@@ -193,22 +182,18 @@ def test_follow_never_ends_by_itself_and_rewards_each_action_on_target() -> None
 
 
 def test_follow_reports_the_share_since_first_contact() -> None:
-    """Off in the first three of ten actions, then once more: six of seven."""
-    task, memory = make_task("follow-circle"), {}
-    memory = task.new_counts(1)
-    report = {}
+    """The tip misses in the first three of ten actions, then once more: six of seven."""
+    task, report = make_task("follow-circle"), {}
+    counts = task.new_counts(1)
     for x in (1, 1, 1, 0, 0, 1, 0, 0, 0, 0):
         now = state(
             np.array([[x, 0, 0]], dtype=float), np.zeros((1, 3)), np.array([0.003, 0.004, 0]), 0.2
         )
-        task.judge(now, np.zeros((1, 3)), np.array([float(x)]), memory)
-        report = task.extra_info(now, memory)
+        task.judge(now, np.zeros((1, 3)), np.array([float(x)]), counts)
+        report = task.extra_info(now, counts)
     np.testing.assert_allclose(report["share_on_target"], [6 / 7])
     np.testing.assert_allclose(report["base_position_error"], [0.005])
     np.testing.assert_allclose(report["base_attitude_error"], [0.2])
-
-
-# --- relabelling -------------------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("name", TASKS)
@@ -221,7 +206,7 @@ def test_first_success_is_that_of_playing_the_episode_again(name: str, seed: int
         else make_task(name)
     )
     steps = 120
-    # A slow walk through the target, sometimes too fast, under a base that now and then is not quiet.
+    # The tip passes the target slowly, sometimes too fast; the base is sometimes not quiet.
     tip = (
         0.05 * np.cos(np.linspace(0, 2, steps + 1))[:, None] * [1, 0, 0] * (seed != 3)
         + rng.normal(size=3) * 1e-3
@@ -230,13 +215,13 @@ def test_first_success_is_that_of_playing_the_episode_again(name: str, seed: int
     shift = rng.choice([0.001, 0.01], p=[0.9, 0.1], size=(steps + 1, 1)) * [0, 1, 0]
     quaternion = np.tile([1.0, 0, 0, 0], (steps + 1, 1))
     target = np.array([0.0, 0.0, 0.005])
-    memory, expected, success = task.new_counts(1), None, False
+    counts, expected, success = task.new_counts(1), None, False
     for i in range(1, steps + 1):
         now = dataclasses.replace(
             state(tip[i : i + 1], speed[i : i + 1]), base_position=shift[i : i + 1]
         )
         distance = tip_distance(now, target[None])
-        success = bool(task.judge(now, np.zeros((1, 3)), distance, memory).success[0])
+        success = bool(task.judge(now, np.zeros((1, 3)), distance, counts).success[0])
         if success and expected is None and task.kind != "follow":
             expected = i
     if task.kind == "follow":
@@ -246,7 +231,7 @@ def test_first_success_is_that_of_playing_the_episode_again(name: str, seed: int
         assert expected is not None
 
 
-def test_where_an_episode_began_is_no_success_of_it() -> None:
+def test_the_first_observation_is_no_success() -> None:
     tip = np.array([[0.0, 0, 0], [1, 0, 0], [0.02, 0, 0]])
     assert make_task("reach").first_success(tip, np.zeros((3, 3)), np.zeros(3)) == 2
     assert make_task("precise").first_success(tip, np.zeros((3, 3)), np.zeros(3)) is None
@@ -254,7 +239,7 @@ def test_where_an_episode_began_is_no_success_of_it() -> None:
         make_task("quiet").first_success(tip, np.zeros((3, 3)), np.zeros(3))
 
 
-def test_relabelled_observations_differ_in_target_and_distance_alone() -> None:
+def test_relabelled_observations_differ_only_in_target_and_distance() -> None:
     observations = np.random.default_rng(0).normal(size=(5, SIZE))
     target = np.array([1.0, 2, 3])
     moved = with_target(observations, target)

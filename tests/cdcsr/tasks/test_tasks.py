@@ -1,4 +1,4 @@
-"""Reach against a state written by hand."""
+"""Eq. (1) and rewards against a state written by hand."""
 
 from __future__ import annotations
 
@@ -31,7 +31,8 @@ TARGET = np.array([[7.0, 8.0, 9.0], [1.0, 2.0, 3.03]])
 
 @pytest.fixture
 def state() -> State:
-    """Two copies; the second differs by -100 in all but the tip. No number occurs twice in a row of eq. (1)."""
+    """Return two copies; the second differs by -100 in everything but the tip. No number occurs
+    twice in the observation of a copy."""
 
     def both(*values: float) -> np.ndarray:
         return np.array([values, values]) - np.array([[0.0], [100.0]])
@@ -52,7 +53,7 @@ def state() -> State:
 
 
 def test_observation_is_eq_1(state: State) -> None:
-    """(p_e, v_e, p_tar, d, p_b, h_b, v_b, omega_b, delta)."""
+    """The order is (p_e, v_e, p_tar, d, p_b, h_b, v_b, omega_b, delta)."""
     observation = observe(state, TARGET, np.array([10.0, -90.0]))
     assert observation[0].tolist() == [float(i) for i in range(1, 27)]
     assert observation[1, TIP_POSITION].tolist() == [1, 2, 3]
@@ -107,7 +108,7 @@ def test_a_network_sees_the_middle_of_the_workspace_at_rest_as_zero() -> None:
 
 
 def test_distance_is_from_tip_to_target(state: State) -> None:
-    """(6, 6, 6) and (0, 0, 0.03)."""
+    """The differences are (6, 6, 6) and (0, 0, 0.03)."""
     np.testing.assert_allclose(tip_distance(state, TARGET), [6 * np.sqrt(3), 0.03], rtol=1e-12)
 
 
@@ -123,7 +124,7 @@ def test_sparse_reward_is_1_on_success() -> None:
     assert reward.tolist() == [0.0, 1.0]
 
 
-def test_dense_reward_is_minus_the_distance_and_1_more_on_success() -> None:
+def test_dense_reward_is_the_negative_distance_plus_1_on_success() -> None:
     reward = Reach(reward_kind="dense").reward(np.array([0.5, 0.01]), np.array([False, True]))
     np.testing.assert_allclose(reward, [-0.5, 0.99])
 

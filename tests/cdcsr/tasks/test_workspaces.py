@@ -1,4 +1,4 @@
-"""Maps of workspaces: cells between points, targets in them, and files."""
+"""Maps of workspaces: cells between points, targets in the cells, and files."""
 
 from __future__ import annotations
 
@@ -33,7 +33,8 @@ def test_targets_are_uniform_in_the_cells() -> None:
 
 
 def test_a_cell_needs_all_its_corners() -> None:
-    """Of 3 x 2 x 2 points, two cells; without one of the four in the middle, none; without an outer one, one."""
+    """3 x 2 x 2 points make two cells. Without a point in the middle there is none, without an
+    outer point there is one."""
     grid = np.stack(np.meshgrid(range(3), range(2), range(2), indexing="ij"), axis=-1).reshape(
         -1, 3
     )
@@ -49,10 +50,10 @@ def test_points_in_a_plane_make_flat_cells() -> None:
     cells, wide = cells_between(grid)
     assert wide.tolist() == [True, False, True]
     assert sorted(cells.tolist()) == [[0, 4, 0], [0, 4, 1]]
-    assert len(cells_between(grid[:1])[0]) == 0  # one point is no cell
+    assert len(cells_between(grid[:1])[0]) == 0  # one point makes no cell
 
 
-def test_a_saved_map_is_a_space_of_its_robot_alone(tmp_path: Path) -> None:
+def test_a_saved_map_is_a_space_of_its_own_robot_only(tmp_path: Path) -> None:
     path = tmp_path / "map.npz"
     two_cells().save(path)
     space = make_space(str(path), PAPER)
@@ -78,6 +79,6 @@ def test_a_map_that_is_missing_or_damaged_names_the_command(tmp_path: Path) -> N
         make_space(str(path), PAPER)
 
 
-def test_demonstrations_for_a_workspace_are_taken_all_around() -> None:
+def test_demonstrations_for_a_workspace_are_taken_in_the_whole_workspace() -> None:
     assert [demonstration_space(n) for n in ("anchor", "floating", "spatter")] == ["anchor"] * 3
     assert [demonstration_space(n) for n in ("workspace", "my.npz")] == ["workspace", "my.npz"]
