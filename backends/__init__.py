@@ -1,1 +1,1 @@
-"""Engines: each folder turns a Robot into that engine's model and puts the Simulation contract on top."""
+"""The engines, each in a folder of its own, and what only concerns engines."""

@@ -217,7 +217,7 @@ class TargetTask(control.Task):
 
 
 class TaskEnvironment(control.Environment):
-    """What :func:`make_dm_environment` returns."""
+    """The environment that :func:`make_dm_environment` makes."""
 
     def close(self) -> None:
         """Release what the engine holds."""

@@ -1,1 +1,1 @@
-"""Stock model files that an engine loads on its own, and a summary of a robot."""
+"""Write model files that an engine loads without this package, and a summary of the robot."""

@@ -1,10 +1,10 @@
-"""What a robot amounts to, and whether the engines agree on its mass matrix."""
+"""A summary of a robot in numbers, and how far the engines agree on its mass matrix."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
-from typing import Any
+from typing import TypedDict
 
 import numpy as np
 
@@ -14,15 +14,45 @@ from cdcsr.simulation.contract import Array
 from cdcsr.simulation.engines import make_simulation
 
 _BEND = 0.3
-"""Largest hinge angle of the bent state, in [rad]; less where a hinge's limit is closer."""
+"""The largest hinge angle of the bent state, in [rad]; less where the hinge's limit is smaller."""
 
 
-def summarize(robot: Robot, backends: Sequence[str]) -> dict[str, Any]:
-    """The robot in numbers, ready for JSON.
+class Cable(TypedDict):
+    """A cable of a summary."""
 
-    `mass_matrix_difference` holds, for each engine but the first, the largest difference of an entry M_ij from
-    the first engine's, relative to sqrt(M_ii M_jj); straight, and in one random bent state.
-    """
+    name: str
+    segment: int
+    rest_length: float
+    """[m]"""
+
+
+class MassDifference(TypedDict):
+    """The largest difference of an entry M_ij of two mass matrices, relative to sqrt(M_ii M_jj)."""
+
+    straight: float
+    bent: float
+    """In one random state."""
+
+
+class Summary(TypedDict):
+    """The robot in numbers, ready for JSON."""
+
+    robot: str
+    fingerprint: str
+    bodies: int
+    degrees_of_freedom: int
+    total_mass: float
+    """[kg]"""
+    center_of_mass: list[float]
+    """The centre of mass of the straight robot, three numbers in [m], world frame."""
+    cables: list[Cable]
+    backends: list[str]
+    mass_matrix_difference: dict[str, MassDifference]
+    """Every engine but the first, compared with the first."""
+
+
+def summarize(robot: Robot, backends: Sequence[str]) -> Summary:
+    """Summarize a robot, and compare its mass matrix in some engines."""
     route = routing(robot)
     segments = [s for s, segment in enumerate(robot.segments) for _ in segment.cables.angles_deg]
     return {
@@ -41,8 +71,8 @@ def summarize(robot: Robot, backends: Sequence[str]) -> dict[str, Any]:
     }
 
 
-def show(summary: dict[str, Any]) -> str:
-    """A summary as text to read."""
+def show(summary: Summary) -> str:
+    """Return a summary as text to read."""
     cables = summary["cables"]
     x, y, z = summary["center_of_mass"]
     lines = [
@@ -59,14 +89,15 @@ def show(summary: dict[str, Any]) -> str:
     first = summary["backends"][0]
     for backend, difference in summary["mass_matrix_difference"].items():
         lines.append(
-            f"mass matrix         {backend} differs from {first} by {difference['straight']:.1e} straight, "
-            f"{difference['bent']:.1e} bent (largest relative difference)"
+            f"mass matrix         {backend} differs from {first} by "
+            f"{difference['straight']:.1e} straight, {difference['bent']:.1e} bent "
+            "(largest relative difference)"
         )
     return "\n".join(lines)
 
 
 def _center_of_mass(robot: Robot) -> Array:
-    """Of the straight robot in the world frame, shape (3,), in [m]."""
+    """Return the centre of mass of the straight robot, shape (3,), in [m], world frame."""
     route = routing(robot)
     moment, height = np.zeros(3), robot.top
     for link, _ in robot.links:
@@ -79,7 +110,7 @@ def _center_of_mass(robot: Robot) -> Array:
     return moment / robot.total_mass
 
 
-def _mass_matrix_differences(robot: Robot, backends: Sequence[str]) -> dict[str, dict[str, float]]:
+def _mass_matrix_differences(robot: Robot, backends: Sequence[str]) -> dict[str, MassDifference]:
     if len(backends) < 2:
         return {}
     matrices = {backend: _mass_matrices(robot, backend) for backend in backends}
@@ -94,7 +125,8 @@ def _mass_matrix_differences(robot: Robot, backends: Sequence[str]) -> dict[str,
 
 
 def _mass_matrices(robot: Robot, backend: str) -> Array:
-    """Of two copies, one straight and one bent with its base turned, shape (2, nv, nv)."""
+    """Return the mass matrices of two copies, shape (2, nv, nv): one is straight, one is bent and
+    its base is turned."""
     random = np.random.default_rng(0)
     limit = min([_BEND, *(joint.limit for _, joint in robot.links)])
     quaternion = random.normal(size=4)
@@ -108,7 +140,7 @@ def _mass_matrices(robot: Robot, backend: str) -> Array:
     try:
         start = simulation.get_snapshot()
         position = np.stack([start.position[0], np.concatenate(bent)])
-        # No engine made this snapshot, so none may read more from it than positions and velocities.
+        # It is a snapshot of no engine, so that each reads only positions and velocities from it.
         simulation.set_snapshot(replace(start, engine="", position=position))
         return simulation.dynamics().mass_matrix
     finally:

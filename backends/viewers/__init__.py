@@ -1,1 +1,1 @@
-"""Pictures of a robot, drawn without a display."""
+"""Draw pictures of a robot without a display."""

@@ -1,6 +1,6 @@
-"""Pictures of a robot by PyBullet's software renderer, which needs no display and no graphics driver.
+"""Draw a robot with PyBullet's software renderer, which needs no display and no graphics driver.
 
-What is drawn is only ever posed, never simulated, so positions from any engine can be drawn.
+The robot is posed and never simulated, so positions from any engine can be drawn.
 """
 
 from __future__ import annotations
@@ -24,23 +24,24 @@ from cdcsr.simulation.contract import camera_angles
 Array = NDArray[np.float64]
 
 HEIGHT, WIDTH = 640, 480
-"""Size of a picture: upright, as the robot is."""
+"""The size of a picture in pixels, upright as the robot is."""
 TARGET_RADIUS, TIP_RADIUS, CABLE_RADIUS = 0.018, 0.010, 0.002
-"""[m]."""
+"""The radii of the marks and of the drawn cables, in [m]."""
 TARGET_COLOR = (235, 45, 60, 255)
 TIP_COLOR = (25, 160, 70, 255)
 CABLE_COLOR = (60, 60, 66, 255)
 BACKGROUND = (246, 247, 250)
 _OVERSAMPLING = 2
 _MARGIN = 0.12
-"""Free space around the robot as a share of its height."""
+"""The free space around the robot, as a share of its height."""
 _FIELD_OF_VIEW = 25.0
-"""Vertical, in degrees; narrow, so that the arm's far end is hardly smaller."""
+"""The vertical field of view in degrees; it is narrow, so that the far end of the arm looks hardly
+smaller."""
 _FAR_AWAY = (0.0, 0.0, -1e3)
 
 
 class Renderer:
-    """Draws one robot with the meshes of :mod:`cdcsr.robot.meshes`, its cables, its tip, and targets."""
+    """Draws one robot with its meshes, its cables, its tip, and targets."""
 
     def __init__(self, robot: Robot) -> None:
         self._client = connect(robot)
@@ -67,21 +68,21 @@ class Renderer:
         size: tuple[int, int] = (HEIGHT, WIDTH),
         focus: tuple[ArrayLike, float] | None = None,
     ) -> NDArray[np.uint8]:
-        """A picture of the robot.
+        """Return a picture of the robot.
 
         Args:
             position: one row of a Snapshot's position, shape (7 + C + 2 J,).
-            camera: name of a view in :data:`cdcsr.simulation.contract.CAMERAS`.
+            camera: a name in :data:`cdcsr.simulation.contract.CAMERAS`.
             targets: points to mark, shape (n, 3), world frame, in [m].
-            size: height and width of the picture in pixels.
-            focus: a point in the world to look at, and how high a part of the world around it to show, both in [m];
-                by default the whole robot.
+            size: the height and the width of the picture in pixels.
+            focus: a point in the world to look at, and the height of the part of the world to show
+                around it, both in [m]; by default the whole robot.
 
         Returns:
             Shape (height, width, 3).
 
         Raises:
-            CdcsrError: no such camera.
+            CdcsrError: there is no such camera.
         """
         self._pose(np.asarray(position, dtype=float))
         self._mark(np.asarray(targets, dtype=float).reshape(-1, 3))
@@ -118,7 +119,7 @@ class Renderer:
         return (total // _OVERSAMPLING**2).astype(np.uint8)
 
     def close(self) -> None:
-        """Release the client; closing twice does nothing."""
+        """Release the client; to close twice does nothing."""
         self._disconnect()
 
     def _pose(self, position: Array) -> None:
@@ -141,7 +142,8 @@ class Renderer:
             self._put(ball, target)
 
     def _cable_pieces(self, frames: Frames) -> list[tuple[Array, Array]]:
-        """The straight pieces of every cable outside the base, from guide to guide, relative to the base's centre."""
+        """Return the straight pieces of all cables outside the base, from guide to guide, relative
+        to the base's centre, in [m]."""
         pieces = []
         for place, offset, joints in zip(
             self._route.place, self._route.guide_offset, self._route.joints, strict=True
@@ -156,13 +158,13 @@ class Renderer:
         return pieces
 
     def _mesh(self, mesh: trimesh.Trimesh) -> list[int]:
-        """Bodies that look like a mesh, one for each of its colours."""
+        """Make bodies that look like a mesh, one for each of its colours."""
         bodies = []
         assert isinstance(mesh.visual, ColorVisuals)
         colors = np.asarray(mesh.visual.face_colors)
         for color in np.unique(colors, axis=0):
             faces = (colors == color).all(axis=1)
-            corners = mesh.triangles[faces].reshape(-1, 3)  # not shared, so that edges stay sharp
+            corners = mesh.triangles[faces].reshape(-1, 3)  # not shared: edges stay sharp
             shape = pybullet.createVisualShape(
                 pybullet.GEOM_MESH,
                 vertices=corners.tolist(),
@@ -203,7 +205,8 @@ def _coloured(mesh: trimesh.Trimesh, color: tuple[int, ...]) -> trimesh.Trimesh:
 
 
 def _look(camera: str, center: Array, span: float) -> tuple[list[float], list[float], float]:
-    """View matrix, direction towards the light, which stands above the camera's shoulder, and the eye's distance."""
+    """Return the view matrix, the direction of the light, which is above and beside the camera, and
+    the distance of the eye in [m]."""
     azimuth, elevation = np.deg2rad(camera_angles(camera))
     flat = np.array([np.sin(azimuth), -np.cos(azimuth), 0.0])
     toward_eye = np.cos(elevation) * flat - np.sin(elevation) * np.array([0.0, 0.0, 1.0])
@@ -214,7 +217,7 @@ def _look(camera: str, center: Array, span: float) -> tuple[list[float], list[fl
 
 
 def _turn_to(direction: Array) -> Array:
-    """A quaternion x-y-z-w that turns the z axis into a direction."""
+    """Return a quaternion, x-y-z-w, that turns the z axis into a direction."""
     x, y, z = direction / np.linalg.norm(direction)
     turn = np.array([-y, x, 0.0, 1.0 + z])
     length = np.linalg.norm(turn)
