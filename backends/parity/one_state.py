@@ -1,31 +1,30 @@
-"""Level 1: the equation of motion at random states, in every engine and, where there is one, in closed form."""
+"""Level 1: the equation of motion at random states, in every engine; the cables also in closed
+form."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
 from backends.parity.checks import Check, Engines, reference_of
 from cdcsr.robot.description import Robot
 from cdcsr.robot.routing import cable_jacobian, cable_lengths, routing
-from cdcsr.simulation.contract import Dynamics, Snapshot
-
-Array = NDArray[np.float64]
+from cdcsr.simulation.contract import Array, Dynamics, Snapshot
 
 RELATIVE = 1e-10
-"""Of matrices and forces."""
+"""The tolerance of matrices and forces."""
 LENGTH = 1e-9
-"""Of cables, in [m]."""
+"""The tolerance of cable lengths, in [m]."""
 _BEND = 0.8
-"""Largest hinge angle of a random state, as a part of the hinge's limit."""
+"""The largest hinge angle of a random state, as a part of the hinge's limit."""
 
 
 def random_states(robot: Robot, num: int, seed: int) -> Snapshot:
-    """Robots turned and bent at random, every coordinate in motion, about half of the cables slack.
+    """Return robots turned and bent at random, with every coordinate in motion and about half of
+    the cables slack.
 
-    No engine made this snapshot, so none reads more from it than positions and velocities.
+    It is a snapshot of no engine, so that each reads only positions and velocities from it.
     """
     rng = np.random.default_rng(seed)
     quaternion = rng.normal(size=(num, 4))
@@ -33,7 +32,8 @@ def random_states(robot: Robot, num: int, seed: int) -> Snapshot:
     limits = np.repeat([joint.limit for _, joint in robot.links], 2)
     hinges = _BEND * limits * rng.uniform(-1, 1, (num, robot.num_hinges))
     route = routing(robot)
-    # A slider at minus its cable's excess length makes the cable just taut: shifted from there, it pulls or is slack.
+    # A slider at minus its cable's excess length makes the cable just taut; shifted from there, the
+    # cable is too long or slack.
     excess = cable_lengths(route, np.zeros((num, robot.num_cables)), hinges) - route.rest_length
     shift = 0.1 * route.slider_offset * rng.uniform(-1, 1, (num, robot.num_cables))
     travel = np.minimum(excess + shift, 0.5 * route.slider_offset)
@@ -43,9 +43,11 @@ def random_states(robot: Robot, num: int, seed: int) -> Snapshot:
 
 
 def one_state(robot: Robot, engines: Engines, num: int = 16, seed: int = 0) -> list[Check]:
-    """Compare every engine's equation of motion with the reference's, and every engine's cables with the closed form.
+    """Compare every engine's equation of motion with the reference's, and every engine's cables
+    with the closed form.
 
-    An engine that steps with an evaluation of its own is compared twice; that one is called "<engine> step".
+    If an engine steps with another evaluation of the equation than it reports, both are compared;
+    the one that steps is called "<engine> step".
     """
     states = random_states(robot, num, seed)
     found: dict[str, Dynamics] = {}
@@ -68,23 +70,16 @@ def one_state(robot: Robot, engines: Engines, num: int = 16, seed: int = 0) -> l
 
 
 def compare(robot: Robot, one: Dynamics, other: Dynamics, pair: str) -> Iterator[Check]:
-    """The checks of one equation of motion against another at the same states."""
+    """Compare two equations of motion at the same states, of which `other` is the reference."""
     names = coordinate_names(robot)
     diagonal = np.sqrt(np.diagonal(other.mass_matrix, axis1=1, axis2=2))
     scale = diagonal[:, :, None] * diagonal[:, None, :]
     difference = (one.mass_matrix - other.mass_matrix) / scale
     yield _worst("mass matrix", pair, difference, RELATIVE, "relative", [names, names])
 
-    tips = generalized_tip_jacobian(one), generalized_tip_jacobian(other)
-    difference = _by_column(tips[0] - tips[1], tips[1])
-    yield _worst(
-        "generalized tip Jacobian",
-        pair,
-        difference,
-        RELATIVE,
-        "relative",
-        [["x", "y", "z"], names[6:]],
-    )
+    tip, expected = generalized_tip_jacobian(one), generalized_tip_jacobian(other)
+    difference, axes = _by_column(tip - expected, expected), [["x", "y", "z"], names[6:]]
+    yield _worst("generalized tip Jacobian", pair, difference, RELATIVE, "relative", axes)
 
     for label, ours, theirs in (
         ("bias force", one.bias_force, other.bias_force),
@@ -100,23 +95,27 @@ def compare(robot: Robot, one: Dynamics, other: Dynamics, pair: str) -> Iterator
 
 
 def generalized_tip_jacobian(dynamics: Dynamics) -> Array:
-    """Tip velocity per slider and hinge rate while momentum is conserved at zero, shape (n, 3, C + 2 J).
+    """Return the generalized Jacobian of a free-floating robot (Umetani and Yoshida, 1989).
 
-    The base gives way to the arm: M_bb v_base + M_bj v_joints = 0.
+    It is the tip velocity for each slider and hinge rate while the momentum is zero, so that the
+    base gives way to the arm: M_bb v_base + M_bj v_joints = 0.
+
+    Returns:
+        Shape (n, 3, C + 2 J).
     """
     mass, tip = dynamics.mass_matrix, dynamics.tip_jacobian
     return tip[:, :, 6:] - tip[:, :, :6] @ np.linalg.solve(mass[:, :6, :6], mass[:, :6, 6:])
 
 
 def coordinate_names(robot: Robot) -> list[str]:
-    """The coordinates in their order."""
+    """Return the names of the coordinates in the contract's order."""
     base = [f"base {kind} {axis}" for kind in ("linear", "angular") for axis in "xyz"]
     hinges = [f"hinge_{j}_{axis}" for j in range(robot.num_links) for axis in "xy"]
     return base + [f"slide_{c}" for c in range(robot.num_cables)] + hinges
 
 
 def cable_names(robot: Robot) -> list[str]:
-    """The cables in their order."""
+    """Return the names of the cables in their order."""
     return [f"cable_{c}" for c in range(robot.num_cables)]
 
 
@@ -134,12 +133,13 @@ def _compare_cables(
     yield _worst("cable Jacobian", pair, difference, RELATIVE, "relative", [cables, names])
 
 
-def _by_column(difference: Array, of: Array) -> Array:
-    """Relative to the column's largest entry, because columns differ in unit.
+def _by_column(difference: Array, reference: Array) -> Array:
+    """Divide differences by the largest entry of their column, because columns differ in unit.
 
-    A column that is zero but for rounding (no cable feels the base) is measured by the whole matrix's largest.
+    If a column is zero but for rounding, as the base's is for cables, its differences are divided
+    by the largest entry of the whole matrix.
     """
-    column = np.abs(of).max(axis=1, keepdims=True)
+    column = np.abs(reference).max(axis=1, keepdims=True)
     whole = column.max(axis=2, keepdims=True)
     return difference / np.where(column > 1e-9 * whole, column, whole)
 
@@ -152,12 +152,18 @@ def _worst(
     unit: str,
     axes: Sequence[Sequence[str]],
 ) -> Check:
-    """The check of the largest difference, shape (n, ...), with the names of its place along the other axes."""
+    """Make the check of the largest difference.
+
+    Args:
+        name: the quantity.
+        pair: what is compared.
+        difference: shape (n, ...).
+        tolerance: its tolerance.
+        unit: its unit.
+        axes: the names along each axis but the first; they tell where the largest difference is.
+    """
     size = np.where(np.isnan(difference), np.inf, np.abs(difference))
     _, *place = np.unravel_index(int(size.argmax()), size.shape)
-    where = (
-        ""
-        if not size.any()
-        else ", ".join(dict.fromkeys(labels[int(i)] for labels, i in zip(axes, place, strict=True)))
-    )
+    labels = dict.fromkeys(names[int(i)] for names, i in zip(axes, place, strict=True))
+    where = ", ".join(labels) if size.any() else ""
     return Check(1, name, pair, float(size.max()), tolerance, unit, where)

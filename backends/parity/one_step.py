@@ -4,29 +4,26 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import TypedDict
 
 import numpy as np
-from numpy.typing import NDArray
 
 from backends.parity.checks import Check, Engines, reference_of
 from backends.parity.trajectories import Commands
 from cdcsr.robot.description import Robot
-from cdcsr.simulation.contract import Snapshot, State
-
-Array = NDArray[np.float64]
+from cdcsr.simulation.contract import Array, Snapshot, State
 
 
 @dataclass(frozen=True)
 class Quantity:
-    """What is compared after a step."""
+    """A quantity that is compared after a step."""
 
     name: str
     unit: str
     read: Callable[[State], Array]
-    """(N, k), of which the norm of the difference is taken."""
+    """Reads it from a state, shape (N, k); differences are measured by their norm."""
     tolerances: dict[int, float]
-    """By percentile of the difference, as a part of the quantity's own 95th percentile."""
+    """Tolerances of percentiles of the difference, as a part of the quantity's 95th percentile."""
 
 
 _TYPICAL, _RARE = 0.01, 0.1
@@ -39,25 +36,38 @@ QUANTITIES = (
         lambda state: state.base_angular_velocity,
         {50: _TYPICAL, 95: _RARE},
     ),
-    # A cable that becomes taut within a step pulls in one engine at once and in another in the next step. So the
-    # largest differences of tension are as large as tensions, and only how often that is depends on the commands.
+    # A cable that becomes taut within a step can pull at once in one engine and in the next step in
+    # another. So the largest differences of tension are as large as tensions; the commands decide
+    # how often this happens.
     Quantity("tension", "N", lambda state: state.cable_tension, {50: _TYPICAL}),
 )
 
 
+class Distribution(TypedDict):
+    """The distribution of a quantity's differences."""
+
+    unit: str
+    median: float
+    p95: float
+    """The 95th percentile."""
+    max: float
+    size_p95: float
+    """The 95th percentile of the quantity itself."""
+
+
 @dataclass(frozen=True)
 class OneStep:
-    """Differences after one step from every state along some commands, one entry a state."""
+    """The differences after one step from each of M states along some commands."""
 
     commands: str
     pair: str
     differences: dict[str, Array]
-    """(M,) by quantity."""
+    """The norms of the differences by quantity, shape (M,)."""
     sizes: dict[str, Array]
-    """(M,) norm of the quantity itself in the reference engine."""
+    """The norms of the quantities themselves in the reference engine, shape (M,)."""
 
     def checks(self) -> list[Check]:
-        """One for each quantity and percentile that has a tolerance."""
+        """Return a check for each quantity and percentile that has a tolerance."""
         checks = []
         for q in QUANTITIES:
             size = float(np.percentile(self.sizes[q.name], 95))
@@ -69,9 +79,14 @@ class OneStep:
                 )
         return checks
 
-    def as_dict(self) -> dict[str, Any]:
-        """The distributions as plain data."""
-        rows = {}
+    @property
+    def states(self) -> int:
+        """How many states there are."""
+        return len(next(iter(self.differences.values())))
+
+    def distributions(self) -> dict[str, Distribution]:
+        """Return the distribution of each quantity's differences."""
+        rows: dict[str, Distribution] = {}
         for q in QUANTITIES:
             difference, size = self.differences[q.name], self.sizes[q.name]
             median, high = np.percentile(difference, [50, 95])
@@ -82,17 +97,21 @@ class OneStep:
                 "max": float(difference.max()),
                 "size_p95": float(np.percentile(size, 95)),
             }
-        first = next(iter(self.differences.values()))
+        return rows
+
+    def as_dict(self) -> dict[str, object]:
+        """Return the distributions as plain data for JSON."""
         return {
             "commands": self.commands,
             "pair": self.pair,
-            "states": len(first),
-            "differences": rows,
+            "states": self.states,
+            "differences": self.distributions(),
         }
 
 
 def states_along(robot: Robot, engines: Engines, commands: Commands) -> list[Snapshot]:
-    """The states of all copies before each step of a run in the reference engine, as snapshots of no engine."""
+    """Return the states before each step of a run in the reference engine, as snapshots of no
+    engine."""
     simulation = engines[reference_of(engines)](robot, len(commands.values))
     states = []
     for command in commands.values.swapaxes(0, 1):
@@ -108,13 +127,17 @@ def one_step(
     commands: Commands,
     progress: Callable[[int], object] | None = None,
 ) -> list[OneStep]:
-    """Step every engine from the same states under the same commands; the others are compared with the reference.
+    """Step every engine from the same states under the same commands, and compare the results.
 
     Args:
         robot: the description.
-        engines: the reference first.
-        commands: along which the states lie, and under which the step is made.
+        engines: the engines, the reference first.
+        commands: the states lie along them in the reference engine; each step is made under the
+            command of its state.
         progress: called with the number of steps just made.
+
+    Returns:
+        The comparison of each other engine with the reference.
     """
     reference, num = reference_of(engines), len(commands.values)
     states = states_along(robot, engines, commands)

@@ -1,97 +1,100 @@
-"""Level 3: the same commands without feedback, with the time step halved again and again.
+"""Level 3: the same commands without feedback, while the time step is halved again and again.
 
-Both engines integrate one set of equations, so as the step shrinks both must come to one motion. What is left at a
-given step is each engine's own discretisation error. Commands are held over the same real time by substeps. The
-constraint's recovery time shrinks with the step: it is how fast an engine takes back what a step of that length let
-through, a part of the discretisation, and what both engines then converge to is the ideal cable, which is never
-longer than at rest. Held fixed instead, it would be a material property, which MuJoCo reads as a critically damped
-spring and a complementarity problem as a rate, and each engine would converge to a cable of its own.
+All engines integrate one set of equations, so as the step shrinks they must converge to one motion.
+At a given step the distance from this limit is the engine's own discretization error. By substeps,
+commands are held for the same time at every step size. The recovery time of the constraints shrinks
+with the step: it says how fast an engine takes back what a step let through, so it is a part of the
+discretization, and the limit is the ideal cable, which is never longer than at rest. A fixed
+recovery time would be a property of the material. MuJoCo would read it as a critically damped
+spring, and a complementarity problem as a rate, and each engine would converge to its own cable.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from backends.parity.checks import Check, Engines, reference_of
 from backends.parity.trajectories import DEMONSTRATOR, Commands
 from cdcsr.robot.description import Robot
-from cdcsr.simulation.contract import Simulation
-
-Array = NDArray[np.float64]
+from cdcsr.simulation.contract import Array, Simulation
 
 REFINEMENTS = (1, 2, 4, 8)
-"""Into how many parts a time step is divided, level by level."""
+"""Into how many parts the time step is divided, one refinement after the other."""
 FINE = (16, 32)
-"""Parts of the time step in the two runs of the reference engine from which the limit is extrapolated."""
+"""Into how many parts it is divided in the two runs of the reference engine from which the limit is
+extrapolated."""
 DISTANCE = 1e-3
-"""Mean distance of the tips over demonstrator episodes at the default time step, in [m]."""
+"""The largest allowed mean distance of the tips over demonstrator episodes at the default time
+step, in [m]."""
 ORDER = 0.8
-"""At least this power of the time step. Both engines are of first order; one that converged to another limit would
-show an order that falls to zero."""
+"""Errors must shrink with at least this power of the time step. Semi-implicit Euler is of first
+order; the order of an engine that converges to another limit falls to zero."""
 APART = 0.5
-"""Largest distance between engines at the finest step, as a part of the reference's own error there: engines that
-converge to one limit come nearer to each other than either is to it."""
+"""The largest allowed distance between engines at the finest step, as a part of the reference's own
+error there: engines that converge to one limit come nearer to each other than either is to it."""
 DISTURBANCE = 1e-6
-"""Standard deviation of the noise on the disturbed run's commands, as a part of their range."""
+"""The standard deviation of the noise on the commands of the disturbed run, as a part of their
+range."""
 
 
 @dataclass(frozen=True)
 class OpenLoop:
-    """Tips of R refinements at T instants in N episodes; entries after an episode's end are NaN."""
+    """The tips in R refinements at T instants in N episodes. Entries after an episode's end are
+        NaN;
+    lengths are in [m]."""
 
     commands: str
     time_steps: Array
-    """(R,) [s]."""
+    """In [s], shape (R,)."""
     time: Array
-    """(T,) [s]."""
+    """In [s], shape (T,)."""
     tips: dict[str, Array]
-    """(R, T, N, 3) by engine, the reference first, in [m]."""
+    """The positions by engine, the reference first, shape (R, T, N, 3)."""
     limit: Array
-    """(T, N, 3) what the reference engine's tip converges to, in [m]."""
+    """The position to which the reference engine's tip converges, shape (T, N, 3)."""
     noise: Array
-    """(T, N) how far slightly disturbed commands move the reference engine's tip, in [m]."""
+    """How far slightly disturbed commands move the reference engine's tip, shape (T, N)."""
 
     @property
     def reference(self) -> str:
+        """The engine that the others are compared with."""
         return next(iter(self.tips))
 
+    @property
+    def noise_floor(self) -> float:
+        """The mean of `noise` over each episode and then over episodes."""
+        return float(np.nanmean(self.noise, axis=0).mean())
+
     def errors(self, engine: str) -> Array:
-        """Distance from the limit, mean over each episode and then over episodes, shape (R,), in [m]."""
+        """Return the distances from the limit, means over each episode and then over episodes,
+        shape (R,)."""
         distance = np.linalg.norm(self.tips[engine] - self.limit, axis=-1)
         return np.nanmean(distance, axis=1).mean(axis=1)
 
     def order(self, engine: str) -> float:
-        """The power of the time step that fits the errors best."""
+        """Return the power of the time step that fits the errors best."""
         return float(np.polyfit(np.log(self.time_steps), np.log(self.errors(engine)), 1)[0])
 
     def mean_distance(self, engine: str) -> Array:
-        """Between the tips of an engine and of the reference, mean as for errors, shape (R,), in [m]."""
+        """Return the distances between the tips of an engine and of the reference, means as in
+        :meth:`errors`, shape (R,)."""
         return np.nanmean(self.distance(engine), axis=1).mean(axis=1)
 
     def distance(self, engine: str) -> Array:
-        """Between the tips of an engine and of the reference, shape (R, T, N), in [m]."""
+        """Return the distances between the tips of an engine and of the reference, shape (R, T,
+        N)."""
         return np.linalg.norm(self.tips[engine] - self.tips[self.reference], axis=-1)
 
     def checks(self) -> list[Check]:
-        """Distance at the default step, along the demonstrator; one limit, of first order, along any commands."""
+        """Check the order, that the engines have one limit, and along the demonstrator how far they
+        are apart at the default time step."""
         checks = []
-        for engine in self.tips:
-            checks.append(
-                Check(
-                    3,
-                    "order",
-                    f"{engine}, {self.commands}",
-                    self.order(engine),
-                    ORDER,
-                    "",
-                    at_least=True,
-                )
-            )
+        for engine, place in ((name, f"{name}, {self.commands}") for name in self.tips):
+            order = self.order(engine)
+            checks.append(Check(3, "order", place, order, ORDER, "", at_least=True))
         own = self.errors(self.reference)[-1]
         for engine in list(self.tips)[1:]:
             pair, mean = f"{engine} - {self.reference}, {self.commands}", self.mean_distance(engine)
@@ -101,8 +104,8 @@ class OpenLoop:
             checks.append(Check(3, finest, pair, float(mean[-1] / own), APART, "relative"))
         return checks
 
-    def as_dict(self) -> dict[str, Any]:
-        """The figures as plain data."""
+    def as_dict(self) -> dict[str, object]:
+        """Return the numbers as plain data for JSON."""
         return {
             "commands": self.commands,
             "episodes": self.noise.shape[1],
@@ -121,14 +124,14 @@ class OpenLoop:
             },
             "noise_floor": {
                 "disturbance": DISTURBANCE,
-                "mean": float(np.nanmean(self.noise, axis=0).mean()),
+                "mean": self.noise_floor,
                 "max": float(np.nanmax(self.noise)),
             },
         }
 
 
 def refined(robot: Robot, parts: int) -> Robot:
-    """The robot with its time step, and the time in which constraints recover, divided."""
+    """Return the robot with its time step and the recovery time of its constraints divided."""
     constraint = robot.constraint.model_copy(
         update={"recovery_time": robot.constraint.recovery_time / parts}
     )
@@ -145,7 +148,7 @@ def open_loop(
 
     Args:
         robot: the description.
-        engines: the reference first.
+        engines: the engines, the reference first.
         commands: one for each default time step.
         progress: called with the number of simulation steps just made.
     """

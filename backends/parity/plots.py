@@ -1,4 +1,5 @@
-"""Figures of parity: one-step differences, convergence, and distance over time. Drawn to files, without a display."""
+"""Figures of parity: one-step differences, convergence, and distance over time. Drawn to files,
+without a display."""
 
 from __future__ import annotations
 
@@ -19,11 +20,11 @@ from cdcsr.plots import COLORS, SOFT, drawn
 _MARKERS = ("o", "D", "s", "^", "v")
 _RED = "#c0392b"
 _SMALLEST = 1e-12
-"""Differences below this are drawn as this: zero has no place on a logarithmic scale."""
+"""Smaller differences are drawn as this, because a logarithmic scale has no zero."""
 
 
 def draw(parity: Parity, folder: Path) -> list[Path]:
-    """Draw all figures of a robot into a folder; returns the files."""
+    """Draw all figures of a robot into a folder, and return the files."""
     figures: dict[str, Callable[[Figure, Parity], None]] = {
         "one-step": _one_step,
         "convergence": _convergence,
@@ -39,10 +40,9 @@ def draw(parity: Parity, folder: Path) -> list[Path]:
 
 
 def _one_step(figure: Figure, parity: Parity) -> None:
-    """Distributions of the differences, a panel for each quantity."""
-    figure.suptitle(
-        f"{parity.robot.name}: difference after one step from the same state", fontsize=11
-    )
+    """Draw the distributions of the differences, a panel for each quantity."""
+    title = f"{parity.robot.name}: difference after one step from the same state"
+    figure.suptitle(title, fontsize=11)
     panels = figure.subplots(2, 2, sharey=True).ravel()
     for axes, quantity in zip(panels, QUANTITIES, strict=True):
         for i, part in enumerate(parity.one_step):
@@ -66,20 +66,21 @@ def _one_step(figure: Figure, parity: Parity) -> None:
 
 
 def _convergence(figure: Figure, parity: Parity) -> None:
-    """Distance from the common limit against the time step, a panel for each kind of commands."""
-    figure.suptitle(
-        f"{parity.robot.name}: distance from the common limit as the time step shrinks", fontsize=11
-    )
+    """Draw the distance from the common limit against the time step, a panel for each kind of
+    commands."""
+    title = f"{parity.robot.name}: distance from the common limit as the time step shrinks"
+    figure.suptitle(title, fontsize=11)
     panels = _panels(figure, parity.open_loop)
     for axes, part in zip(panels, parity.open_loop, strict=True):
         steps = 1e3 * part.time_steps
         for i, engine in enumerate(part.tips):
-            # Engines that agree lie on each other: the first has large open marks, the others small full ones.
+            # Engines that agree lie on each other: the first has large open marks, the others small
+            # full ones.
             size, face = (10, "none") if i == 0 else (4.5, COLORS[i])
             axes.plot(
                 steps,
                 1e3 * part.errors(engine),
-                _MARKERS[i] + "-",
+                _MARKERS[i % len(_MARKERS)] + "-",
                 color=COLORS[i],
                 markersize=size,
                 markerfacecolor=face,
@@ -92,7 +93,7 @@ def _convergence(figure: Figure, parity: Parity) -> None:
             axes.plot(
                 steps,
                 apart,
-                _MARKERS[i] + "--",
+                _MARKERS[i % len(_MARKERS)] + "--",
                 color=COLORS[i],
                 markersize=4.5,
                 linewidth=1.2,
@@ -112,11 +113,9 @@ def _convergence(figure: Figure, parity: Parity) -> None:
 
 
 def _open_loop(figure: Figure, parity: Parity) -> None:
-    """Distance between the engines over time at the default time step, beside the noise floor."""
-    figure.suptitle(
-        f"{parity.robot.name}: the same commands without feedback; median and range of the episodes",
-        fontsize=11,
-    )
+    """Draw the distance between engines over time at the default time step, and the noise floor."""
+    title = "the same commands without feedback; median and range of the episodes"
+    figure.suptitle(f"{parity.robot.name}: {title}", fontsize=11)
     panels = _panels(figure, parity.open_loop)
     for axes, part in zip(panels, parity.open_loop, strict=True):
         for i, engine in enumerate(list(part.tips)[1:], start=1):
@@ -140,7 +139,7 @@ def _open_loop(figure: Figure, parity: Parity) -> None:
 
 
 def _band(axes: Axes, part: OpenLoop, distance: np.ndarray, color: str, label: str) -> None:
-    """Median over the episodes that still run, and the range of all."""
+    """Draw the median over the episodes that have not ended, and their range."""
     running = ~np.isnan(distance)
     alive = running.any(axis=1)
     values = 1e3 * np.maximum(distance[alive], _SMALLEST)
@@ -157,7 +156,7 @@ def _band(axes: Axes, part: OpenLoop, distance: np.ndarray, color: str, label: s
 
 
 def _legend_below(figure: Figure, axes: Axes) -> None:
-    """One legend for all panels."""
+    """Draw one legend for all panels, below them."""
     handles, labels = axes.get_legend_handles_labels()
     figure.legend(
         handles, labels, loc="outside lower center", ncols=min(4, len(labels)), fontsize=8.5
