@@ -14,10 +14,9 @@ from __future__ import annotations
 import hashlib
 import json
 import tomllib
-from collections.abc import Iterator
 from importlib import resources
 from pathlib import Path
-from typing import Annotated, Any, Literal, Self
+from typing import Annotated, Literal, Self
 
 import tomli_w
 from pydantic import (
@@ -25,13 +24,15 @@ from pydantic import (
     BaseModel,
     ConfigDict,
     Field,
+    ModelWrapValidatorHandler,
     Strict,
     ValidationError,
     model_validator,
 )
-from pydantic_core import InitErrorDetails, PydanticCustomError
+from pydantic_core import InitErrorDetails
 
 from cdcsr.errors import CdcsrError, unknown_choice
+from cdcsr.robot.section_rules import errors_between_sections
 from cdcsr.robot.toml_errors import describe, report_again
 
 Positive = Annotated[float, Field(gt=0)]
@@ -179,18 +180,15 @@ class Robot(Part):
 
     @model_validator(mode="wrap")
     @classmethod
-    def _check_across_sections(cls, data: Any, handler: Any) -> Self:
+    def _check_across_sections(cls, data: object, handler: ModelWrapValidatorHandler[Self]) -> Self:
         """Check rules between sections, and report what breaks them along with all other errors."""
+        robot: Self | None = None
         errors: list[InitErrorDetails] = []
-        robot = None
         try:
             robot = handler(data)
         except ValidationError as error:
             errors += [report_again(line) for line in error.errors()]
-        if robot is None:
-            errors += list(_cross_errors(data))
-        else:
-            errors += list(_cross_errors(robot.model_dump()))
+        errors += errors_between_sections(data if robot is None else robot.model_dump())
         if robot is None or errors:
             raise ValidationError.from_exception_data(cls.__name__, errors)
         return robot
@@ -307,60 +305,3 @@ def shipped_robots() -> list[str]:
     return sorted(
         f.name.removesuffix(".toml") for f in folder.iterdir() if f.name.endswith(".toml")
     )
-
-
-def _cross_errors(data: Any) -> Iterator[InitErrorDetails]:
-    """Yield the errors between sections of data that may be broken in any way.
-
-    A number that is missing or wrong in itself is passed over: other checks report it.
-    """
-
-    def number(*place: str | int) -> float | None:
-        value = data
-        for key in place:
-            try:
-                value = value[key]
-            except (KeyError, IndexError, TypeError):
-                return None
-        if (
-            not isinstance(value, int | float)
-            or isinstance(value, bool)
-            or not 0 < value < float("inf")
-        ):
-            return None
-        return float(value)
-
-    def error(place: tuple[str | int, ...], message: str) -> InitErrorDetails:
-        kind = PydanticCustomError("value_error", "{message}", {"message": message})
-        return InitErrorDetails(type=kind, loc=place, input=number(*place))
-
-    step, recovery = number("time_step"), number("constraint", "recovery_time")
-    if step and recovery and recovery < 2 * step:
-        yield error(
-            ("constraint", "recovery_time"), f"must be at least two time steps ({2 * step:g} s)"
-        )
-    try:
-        count = len(data["segments"])
-    except (KeyError, TypeError):
-        return
-    height = number("base", "size", 2)
-    for i in range(count):
-        place = ("segments", i, "cables", "guide_offset")
-        offset = number(*place)
-        if offset is None:
-            continue
-        for j in range(i + 1):
-            length = number("segments", j, "link", "length")
-            if length is not None and offset >= length / 2:
-                yield error(
-                    place,
-                    "puts a guide outside its link: must be below half of "
-                    f"segments[{j}].link.length ({length / 2:g} m)",
-                )
-                break
-        below = number("segments", i, "servo", "offset")
-        if height and below is not None and offset + below > height:
-            yield error(
-                ("segments", i, "servo", "offset"),
-                f"puts the slider outside the base: must be at most {height - offset:g} m",
-            )

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import Any, ClassVar
+from typing import ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -155,7 +155,7 @@ TASKS: dict[str, Task] = {
 """All named tasks: reach, precise, quiet, capture, capture-drift, ..., follow-line, ..."""
 
 
-def make_task(name: str | Task, **changes: Any) -> Task:
+def make_task(name: str | Task, **changes: object) -> Task:
     """Return a task with some of its numbers changed.
 
     Args:

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cdcsr.robot.description import Robot
-from cdcsr.tasks.observation import mirror_order, mirror_signs
+from cdcsr.tasks.observation import CABLE_TRAVEL, PARTS
 
 Array = NDArray[np.float64]
 
@@ -50,8 +50,9 @@ def images(robot: Robot) -> list[Image]:
     for name, (x, y) in _AXES.items():
         cables = _cables(robot, x, y)
         if cables is not None:
-            signs = mirror_signs(x, y, robot.num_cables)
-            found.append(Image(name, signs, mirror_order(cables), np.array(cables)))
+            first = CABLE_TRAVEL.start
+            order = np.array([*range(first), *(first + cable for cable in cables)])
+            found.append(Image(name, _signs(x, y, robot.num_cables), order, np.array(cables)))
     return found
 
 
@@ -70,3 +71,26 @@ def _cables(robot: Robot, x: int, y: int) -> list[int] | None:
             return None
         cables += (len(cables) + apart.argmin(0)).tolist()
     return cables
+
+
+def _signs(x: int, y: int, num_cables: int) -> Array:
+    """Return the factor that a mirror puts on each number of eq. (1).
+
+    An axial vector, and so the vector part of a quaternion, keeps its component across the mirror
+    plane; its other two components change their sign.
+
+    Args:
+        x: -1 if the plane x = 0 is a mirror, else 1.
+        y: -1 if the plane y = 0 is a mirror, else 1.
+        num_cables: the cables change places, but not the sign of their travel.
+    """
+    polar, axial = [x, y, 1], [y, x, x * y]
+    signs = {
+        "position": polar,
+        "velocity": polar,
+        "scalar": [1],
+        "quaternion": [1, *axial],
+        "axial vector": axial,
+        "per cable": [1] * num_cables,
+    }
+    return np.concatenate([signs[part.kind] for part in PARTS]).astype(np.float64)

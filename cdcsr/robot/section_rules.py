@@ -1,0 +1,65 @@
+"""Rules of a robot description that tie its sections together."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import Any
+
+from pydantic_core import InitErrorDetails, PydanticCustomError
+
+
+def errors_between_sections(data: Any) -> Iterator[InitErrorDetails]:
+    """Yield the errors between sections of data that may be broken in any way.
+
+    A number that is missing or wrong in itself is passed over: other checks report it.
+    """
+
+    def number(*place: str | int) -> float | None:
+        value = data
+        for key in place:
+            try:
+                value = value[key]
+            except (KeyError, IndexError, TypeError):
+                return None
+        if (
+            not isinstance(value, int | float)
+            or isinstance(value, bool)
+            or not 0 < value < float("inf")
+        ):
+            return None
+        return float(value)
+
+    def error(place: tuple[str | int, ...], message: str) -> InitErrorDetails:
+        kind = PydanticCustomError("value_error", "{message}", {"message": message})
+        return InitErrorDetails(type=kind, loc=place, input=number(*place))
+
+    step, recovery = number("time_step"), number("constraint", "recovery_time")
+    if step and recovery and recovery < 2 * step:
+        yield error(
+            ("constraint", "recovery_time"), f"must be at least two time steps ({2 * step:g} s)"
+        )
+    try:
+        count = len(data["segments"])
+    except (KeyError, TypeError):
+        return
+    height = number("base", "size", 2)
+    for i in range(count):
+        place = ("segments", i, "cables", "guide_offset")
+        offset = number(*place)
+        if offset is None:
+            continue
+        for j in range(i + 1):
+            length = number("segments", j, "link", "length")
+            if length is not None and offset >= length / 2:
+                yield error(
+                    place,
+                    "puts a guide outside its link: must be below half of "
+                    f"segments[{j}].link.length ({length / 2:g} m)",
+                )
+                break
+        below = number("segments", i, "servo", "offset")
+        if height and below is not None and offset + below > height:
+            yield error(
+                ("segments", i, "servo", "offset"),
+                f"puts the slider outside the base: must be at most {height - offset:g} m",
+            )
