@@ -12,6 +12,7 @@ import os
 import sys
 from collections.abc import Callable, Mapping, Sequence
 from importlib.metadata import EntryPoint, entry_points, version
+from pathlib import Path
 from typing import Any, ParamSpec
 
 from cdcsr.errors import CdcsrError, unknown_choice
@@ -128,12 +129,13 @@ def _checking_files(function: Callable[..., Any]) -> Callable[..., Any]:
     return call
 
 
-def _refuse_unwritable(options: Mapping[str, Any]) -> None:
+def _refuse_unwritable(options: Mapping[str, object]) -> None:
     from cdcsr.files import refuse_unwritable
 
     for name in _FILE_OPTIONS:
-        if options.get(name) is not None:
-            refuse_unwritable(options[name])
+        path = options.get(name)
+        if isinstance(path, Path):
+            refuse_unwritable(path)
 
 
 def _help(commands: Mapping[str, EntryPoint]) -> str:

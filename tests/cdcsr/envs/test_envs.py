@@ -189,7 +189,7 @@ def test_each_copy_is_a_single_env(backend: str, frame_skip: int) -> None:
     rng = np.random.default_rng(0)
     targets = rng.uniform([0.0, 0.0, 2.3], [0.3, 0.3, 2.6], (5, 3))
     actions = rng.uniform(-5, 0, (30, 5, 8))
-    kwargs: dict[str, Any] = {"backend": backend, "frame_skip": frame_skip, "reward": "dense"}
+    kwargs: EnvOptions = {"backend": backend, "frame_skip": frame_skip, "reward": "dense"}
     many = gymnasium.make_vec("cdcsr/Reach-v0", num_envs=5, **kwargs)
     observation, info = many.reset(options={"targets": targets})
     together = [(observation, info), *((r[0], r[1], r[4]) for r in map(many.step, actions))]

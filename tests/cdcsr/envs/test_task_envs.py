@@ -10,8 +10,10 @@ import pytest
 
 from cdcsr.envs.disturbances import Disturbances
 from cdcsr.envs.gym_env import TaskEnv, TaskVectorEnv
+from cdcsr.envs.options import EnvOptions
 from cdcsr.envs.rng_state import pack_generator, unpack_generator
 from cdcsr.errors import CdcsrError
+from cdcsr.simulation.contract import Array
 from cdcsr.simulation.engines import backend_names
 from cdcsr.simulation.plant import Parameters
 from cdcsr.tasks.catalogue import TASKS
@@ -19,7 +21,7 @@ from cdcsr.tasks.observation import DISTANCE, TARGET, TIP_POSITION, observation_
 
 engines = pytest.mark.parametrize("backend", backend_names())
 every_task = pytest.mark.parametrize("task", TASKS)
-_SMALL: dict[str, Any] = {"robot": "planar-single"}
+_SMALL = "planar-single"
 
 
 @pytest.mark.parametrize(
@@ -34,8 +36,8 @@ _SMALL: dict[str, Any] = {"robot": "planar-single"}
     ],
 )
 def test_ids_give_tasks(name: str, arguments: dict[str, Any], task: str, steps: int) -> None:
-    one = gymnasium.make(f"cdcsr/{name}-v0", **_SMALL, **arguments).unwrapped
-    many = gymnasium.make_vec(f"cdcsr/{name}-v0", num_envs=2, **_SMALL, **arguments)
+    one = gymnasium.make(f"cdcsr/{name}-v0", robot=_SMALL, **arguments).unwrapped
+    many = gymnasium.make_vec(f"cdcsr/{name}-v0", num_envs=2, robot=_SMALL, **arguments)
     assert isinstance(one, TaskEnv)
     for env in (one.batch, many):
         assert isinstance(env, TaskVectorEnv)
@@ -48,9 +50,9 @@ def test_ids_give_tasks(name: str, arguments: dict[str, Any], task: str, steps: 
 @every_task
 def test_the_target_moves_and_the_policy_observes_its_position(task: str, backend: str) -> None:
     """The path does not depend on the number of steps in an action."""
-    seen: list[Any] = []
+    seen: list[Array] = []
     for skip in (1, 4):
-        env = TaskVectorEnv(3, backend=backend, task=task, frame_skip=skip, **_SMALL)
+        env = TaskVectorEnv(3, _SMALL, backend, task=task, frame_skip=skip)
         observation, info = env.reset(seed=3)
         rows = [observation[:, TARGET]]
         for _ in range(40 // skip):
@@ -74,14 +76,14 @@ def test_the_target_moves_and_the_policy_observes_its_position(task: str, backen
 @every_task
 def test_an_environment_goes_on_from_its_state_to_the_bit(task: str, backend: str) -> None:
     """With late and noisy observations, late commands, and episodes that end meanwhile."""
-    arguments: dict[str, Any] = {
+    arguments: EnvOptions = {
         "backend": backend,
         "task": task,
         "max_steps": 12,
         "disturbances": Disturbances(
             action_noise=0.1, base_noise=0.01, packet_loss=0.3, observation_delay=2
         ),
-        **_SMALL,
+        "robot": _SMALL,
     }
     first, second = TaskVectorEnv(3, **arguments), TaskVectorEnv(3, **arguments)
     for env in (first, second):
@@ -112,7 +114,7 @@ def test_an_environment_goes_on_from_its_state_to_the_bit(task: str, backend: st
 
 
 def test_there_is_no_state_before_the_first_episode() -> None:
-    env = TaskVectorEnv(1, **_SMALL)
+    env = TaskVectorEnv(1, _SMALL)
     with pytest.raises(CdcsrError, match="no state before its first reset"):
         env.get_state()
     env.close()

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-from typing import Any
 
 import numpy as np
 import pytest
@@ -88,7 +87,7 @@ def test_every_named_task_is_found_by_its_name() -> None:
         ("reach", {"threshold": 0.0}, "threshold must be positive, not 0"),
     ],
 )
-def test_wrong_tasks_are_errors(name: str, changes: dict[str, Any], message: str) -> None:
+def test_wrong_tasks_are_errors(name: str, changes: dict[str, object], message: str) -> None:
     with pytest.raises(CdcsrError, match=message):
         make_task(name, **changes)
 
