@@ -34,7 +34,7 @@ class BehaviourCloning:
         self._generator = generator
 
     def actions(self, observations: NDArray[np.float64]) -> NDArray[np.float32]:
-        """What the clone does, in [-1, 1]: (n, 23 + C) -> (n, C)."""
+        """What the clone does, in [-1, 1]: (n, observation size) -> (n, C)."""
         with torch.no_grad():
             return self.actor.act(torch.as_tensor(observations, dtype=torch.float32)).numpy()
 
@@ -49,7 +49,7 @@ def pairs(actor: Actor, observations: Tensor, commands: Tensor) -> tuple[Tensor,
 
     Args:
         actor: the network.
-        observations: shape (N, 23 + C).
+        observations: shape (N, observation size).
         commands: the demonstrator's set-points, shape (N, C), in [m].
     """
     wanted = actor.from_command(commands)
@@ -72,7 +72,7 @@ def imitate(
     Args:
         actor: the network.
         learner: the learner's numbers.
-        observations: shape (N, 23 + C).
+        observations: shape (N, observation size).
         commands: the demonstrator's set-points, shape (N, C), in [m].
         generator: draws the batches.
         progress: called with the number of the update and its loss.

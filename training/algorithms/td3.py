@@ -70,7 +70,7 @@ class TD3:
         self._generator = generator
 
     def show(self, observations: Tensor, commands: Tensor) -> None:
-        """Take what the demonstrator saw, shape (N, 23 + C), and did, set-points in [m], shape (N, C): for variants."""
+        """Take what the demonstrator saw, shape (N, observation size), and did, set-points in [m], shape (N, C): for variants."""
 
     @property
     def policy(self) -> Actor:

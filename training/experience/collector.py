@@ -25,7 +25,7 @@ class FinishedEpisode:
     """One episode of T actions as the environment gave it."""
 
     observations: Array
-    """(T + 1, 23 + C)."""
+    """(T + 1, observation size)."""
     actions: Array
     """(T, C), in [-1, 1]."""
     rewards: Array

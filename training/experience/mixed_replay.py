@@ -30,7 +30,7 @@ class MixedReplay:
         robot: the description.
         task: defines success for hindsight, and the reward.
         learner: the learner's numbers.
-        clone: maps observations (n, 23 + C) to the behaviour clone's actions (n, C); called once
+        clone: maps observations (n, observation size) to the behaviour clone's actions (n, C); called once
             for each stored observation. None if the algorithm has no clone.
 
     Attributes:

@@ -17,7 +17,7 @@ class Batch(NamedTuple):
     """B transitions, each over up to n actions."""
 
     observation: Tensor
-    """(B, 23 + C)."""
+    """(B, observation size)."""
     action: Tensor
     """(B, C), in [-1, 1]."""
     reward: Tensor
@@ -25,7 +25,7 @@ class Batch(NamedTuple):
     discount: Tensor
     """(B,), the weight of the value at the next observation: gamma^steps, or 0 after success."""
     next_observation: Tensor
-    """(B, 23 + C)."""
+    """(B, observation size)."""
     bc_action: Tensor
     """(B, C), the behaviour clone's action at the observation, in [-1, 1]."""
     next_bc_action: Tensor
@@ -80,7 +80,7 @@ class Replay:
         """Store an episode of T actions.
 
         Args:
-            observations: shape (T + 1, 23 + C).
+            observations: shape (T + 1, observation size).
             actions: shape (T, C), in [-1, 1].
             rewards: shape (T,).
             terminated: the episode ended by success; otherwise its end is bootstrapped.

@@ -63,12 +63,12 @@ class Actor(nn.Module):
         return command / (self.eta / 2) + 1
 
     def act(self, observation: Tensor) -> Tensor:
-        """Return actions in [-1, 1]: (..., 23 + C) -> (..., C)."""
+        """Return actions in [-1, 1]: (..., observation size) -> (..., C)."""
         if self.mirror_symmetry is None:
             return self(self.encoder(observation))
         image = self.mirror_symmetry(observation)
         return self(self.encoder(image.observation)).gather(-1, image.cables)
 
     def command(self, observation: Tensor) -> Tensor:
-        """Return set-points in [m]: (..., 23 + C) -> (..., C)."""
+        """Return set-points in [m]: (..., observation size) -> (..., C)."""
         return self.to_command(self.act(observation))

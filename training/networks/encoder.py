@@ -38,7 +38,7 @@ class Encoder(nn.Module):
         self.size = observation_size(robot) + 3 * with_error
 
     def forward(self, observation: Tensor) -> Tensor:
-        """Encode observations: (..., 23 + C) -> (..., size)."""
+        """Encode observations: (..., observation size) -> (..., size)."""
         encoded = (observation - self.offset) / self.scale
         if not self.with_error:
             return encoded

@@ -17,7 +17,7 @@ class CanonicalImage(NamedTuple):
     """The mirror images of observations that a network sees."""
 
     observation: Tensor
-    """(..., 23 + C), with the target on the workspace's side of every mirror plane.
+    """(..., observation size), with the target on the workspace's side of every mirror plane.
 
     With both mirrors this is the quarter that holds the workspace's centre. A centre on a mirror
     plane counts as on its positive side."""
@@ -59,7 +59,7 @@ class MirrorSymmetry(nn.Module):
             self.register_buffer(name, rows, persistent=False)
 
     def forward(self, observation: Tensor) -> CanonicalImage:
-        """Find the canonical images of observations (eq. (1), world frame), (..., 23 + C)."""
+        """Find the canonical images of observations (eq. (1), world frame), (..., observation size)."""
         targets = observation[..., TARGET][..., None, :2] * self.signs[:, TARGET][:, :2]
         chosen = (targets * self.side).sum(-1).argmax(-1)
         return CanonicalImage(
