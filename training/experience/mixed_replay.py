@@ -30,8 +30,8 @@ class MixedReplay:
         robot: the description.
         task: defines success for hindsight, and the reward.
         learner: the learner's numbers.
-        clone: maps observations (n, observation size) to the behaviour clone's actions (n, C); called once
-            for each stored observation. None if the algorithm has no clone.
+        clone: maps observations (n, observation size) to the behaviour clone's actions (n, C);
+            called once for each stored observation. None if the algorithm has no clone.
 
     Attributes:
         buffers: the buffers by the names that they have in a checkpoint: `replay` and, if there
