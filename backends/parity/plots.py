@@ -1,4 +1,4 @@
-"""Figures of parity: one-step differences, convergence, and distance over time. Drawn to files,
+"""Draw parity: one-step differences, convergence, and distance over time. Drawn to files,
 without a display."""
 
 from __future__ import annotations

@@ -1,9 +1,9 @@
-"""PyBullet: the robot as URDF, its cables as a complementarity problem solved at every step."""
+"""The PyBullet engine; :mod:`backends.pybullet.simulation` says what Bullet computes in it."""
 
 import os
 
-# PyBullet greets every process that imports it, below Python's reach, with its build time. An error in the
-# import is an exception and gets through.
+# PyBullet prints its build time to the file descriptor of standard error when it is imported. An
+# error in the import is an exception and is still seen.
 _stderr, _nowhere = os.dup(2), os.open(os.devnull, os.O_WRONLY)
 os.dup2(_nowhere, 2)
 try:

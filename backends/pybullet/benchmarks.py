@@ -1,4 +1,5 @@
-"""The section that PyBullet brings to `cdcsr bench`: what cables and worker processes cost or gain."""
+"""The section that PyBullet brings to `cdcsr bench`: what cables and worker processes cost or
+gain."""
 
 from __future__ import annotations
 

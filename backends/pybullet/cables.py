@@ -1,17 +1,20 @@
-"""Cables and hinge limits as unilateral constraints, compiled: the forces PyBullet is given at every step.
+"""Cables and hinge limits as unilateral constraints, compiled: the joint forces for PyBullet.
 
-PyBullet's multibodies know no tendon, rope or distance limit. So each step first solves for the acceleration a
-that the robot will have, with dampers taken implicitly and springs and servos where the step begins,
+PyBullet's multibodies know no tendon, rope or distance limit. So each step first solves for the
+acceleration a that the robot will have, with dampers taken implicitly and springs and servos where
+the step begins,
 
     (M + h C) a = f - bias - L^T t,    f = -K q - C v + servo forces,
 
-where the tensions t are the multipliers of the unilateral constraints: a cable that is slack may at most become
-taut within the step, and one that is too long takes its excess back with the recovery time,
+where the tensions t are the multipliers of the unilateral constraints: a cable that is slack may at
+most become taut within the step, and one that is too long takes its excess back with the recovery
+time,
 
-    0 <= t   complementary to   L (v + h a) <= gap / h  (gap >= 0)  or  gap / recovery_time  (gap < 0).
+    0 <= t   complementary to   L (v + h a) <= gap / (h if gap >= 0 else recovery_time).
 
-A hinge limit is one more row of the same kind. PyBullet, which is explicit, reaches just this acceleration
-under the joint forces f - h C a - L^T t. The base's rows of them are zero: nothing pushes from outside.
+A hinge limit is one more row of the same kind. PyBullet, which is explicit, reaches just this
+acceleration under the joint forces f - h C a - L^T t. The base's rows of them are zero: nothing
+pushes from outside.
 """
 
 from __future__ import annotations
@@ -103,7 +106,8 @@ def own_rig(rig: Rig, plant: Plant, row: int) -> Rig:
 def cable_rows(
     rig: Rig, travel: Array, sine: Array, cosine: Array, by_slider: Array, by_hinge: Array
 ) -> Array:
-    """Gap of every cable, shape (C,); fills the derivatives of the lengths, shapes (C,) and (C, 2 J)."""
+    """Return the gap of every cable, shape (C,), and fill in the derivatives of the lengths, shapes
+    (C,) and (C, 2 J)."""
     gap = np.empty(travel.size)
     for c in range(travel.size):
         px, py, offset = rig.place[c, 0], rig.place[c, 1], rig.guide_offset[c]
@@ -129,11 +133,11 @@ def _slack_rate(gap: float, rig: Rig) -> float:
 def _joint_forces(
     chain: Chain, rig: Rig, position: Array, velocity: Array, command: Array, tension: Array
 ) -> Array:
-    """Forces on sliders and hinges of one copy, shape (C + 2 J,); replaces the tensions of the step before.
+    """Return the forces on sliders and hinges of one copy, shape (C + 2 J,); update the tensions.
 
-    The factorised matrix is of the hinges, then the base; sliders touch nothing but the base and are eliminated
-    beforehand. Rows appended to the factor are the constraints' whitened directions, so their products are the
-    complementarity problem's matrix.
+    The factorised matrix is of the hinges, then the base; sliders touch nothing but the base and
+    are eliminated beforehand. Rows appended to the factor are the constraints' whitened directions,
+    so their products are the complementarity problem's matrix.
     """
     num_cables, num_hinges = rig.gain.size, rig.limit.size
     first, size, step = 6 + num_cables, num_hinges + 6, rig.time_step
@@ -150,7 +154,8 @@ def _joint_forces(
     load = -bias_force(chain, frames, velocity)
     load[6:] += force
 
-    # Rows of `whole`: the factor (size), what drives (1), cables (C), hinge limits (as many as are met).
+    # Rows of `whole`: the factor (size), what drives (1), cables (C), hinge limits (as many as are
+    # met).
     whole = np.zeros((size + 1 + num_cables + num_hinges, size))
     heft = np.empty(num_cables)
     for k in range(num_hinges):
@@ -182,7 +187,8 @@ def _joint_forces(
     for row in range(size, size + 1 + num_cables):
         append_row(whole, row, size, inverse)
 
-    # (1) the problem of the cables; (2) as long as the step would carry hinges past their limits, theirs too.
+    # (1) the problem of the cables; (2) as long as the step would carry hinges past their limits,
+    # theirs too.
     count = num_cables
     most = num_cables + num_hinges
     matrix, slack = np.empty((most, most)), np.empty(most)
@@ -272,7 +278,8 @@ def joint_forces(
         position: as in a Snapshot, shape (num, 7 + C + 2 J).
         velocity: shape (num, nv).
         command: servo set-points, shape (num, C), in [m].
-        tension: shape (num, C), in [N]; replaced. What it holds is only the first guess of which cables pull.
+        tension: shape (num, C), in [N]; updated. The old tensions are only the first guess of which
+            cables pull.
         force: filled, shape (num, C + 2 J), in [N] and [N m].
     """
     for n in range(position.shape[0]):

@@ -1,4 +1,4 @@
-"""Getting a robot into PyBullet without what PyBullet adds of its own."""
+"""Load a robot into PyBullet, without the damping, motors and limits that PyBullet adds."""
 
 from __future__ import annotations
 
@@ -14,17 +14,23 @@ from cdcsr.robot.description import Robot
 from cdcsr.simulation.plant import Plant
 
 MAX_JOINT_SPEED = 1e9
-"""PyBullet clamps joint speeds, by default at 100; nothing that still means anything comes near this."""
+"""The clamp on joint speeds, in [m/s] or [rad/s]. PyBullet's own is 100; no speed that is not a
+failure comes near this one."""
 OWN_JOINT_SPEED, OWN_DAMPING = 100.0, 0.04
-"""PyBullet's defaults: the clamp in [m/s] or [rad/s], and the damping of all motion, linear and angular."""
+"""PyBullet's defaults: the clamp in [m/s] or [rad/s], and the damping of linear and angular
+motion."""
 
 
 def connect(robot: Robot) -> int:
-    """A new physics client without gravity at the robot's time step; the caller disconnects it."""
+    """Open a physics client without gravity at the robot's time step; the caller disconnects it.
+
+    Raises:
+        CdcsrError: PyBullet has no free client left.
+    """
     client = pybullet.connect(pybullet.DIRECT)
     if client < 0:
         raise CdcsrError(
-            "PyBullet has no free physics client left; close() simulations that are no longer needed."
+            "PyBullet has no free physics client left; close() simulations that are not needed."
         )
     pybullet.setTimeStep(robot.time_step, physicsClientId=client)
     pybullet.setGravity(0, 0, 0, physicsClientId=client)
@@ -32,18 +38,22 @@ def connect(robot: Robot) -> int:
 
 
 def load_robot_body(robot: Robot, client: int) -> int:
-    """Load one copy, straight and at rest at the origin, with no damping, motors, limits or contacts.
+    """Load one copy, straight and at rest at the origin, with no damping, motors, limits or
+    contacts.
 
     Args:
         robot: the description.
-        client: physics client.
+        client: the physics client.
 
     Returns:
         The body's id.
+
+    Raises:
+        CdcsrError: PyBullet read the joints in another order.
     """
     flags = pybullet.URDF_USE_INERTIA_FROM_FILE
     flags |= pybullet.URDF_IGNORE_COLLISION_SHAPES | pybullet.URDF_IGNORE_VISUAL_SHAPES
-    # A fresh name each time: PyBullet remembers files by their path, and another process may load at once.
+    # The name is new each time: PyBullet caches files by their path, and other processes load too.
     handle, name = tempfile.mkstemp(prefix=f"{robot.fingerprint}_", suffix=".urdf")
     try:
         with os.fdopen(handle, "w", encoding="utf-8") as file:
@@ -57,10 +67,10 @@ def load_robot_body(robot: Robot, client: int) -> int:
     ]
     if found != joint_names(robot):
         raise CdcsrError(
-            f"PyBullet ordered the joints of {robot.name} in another way than they were written: {found}."
+            f"PyBullet read the joints of {robot.name} in another order than written: {found}."
         )
-    # These three are of the whole body. PyBullet redirects any call that sets the speed limit to the base, so a
-    # joint's damping must not be set along with it.
+    # These three belong to the whole body. PyBullet redirects any call that sets the speed limit to
+    # the base, so a joint's damping must not be set in the same call.
     pybullet.changeDynamics(
         body,
         -1,
@@ -85,7 +95,7 @@ def load_robot_body(robot: Robot, client: int) -> int:
 
 
 def use_own_settings(client: int, body: int) -> None:
-    """Give a body back the damping and the clamp on joint speeds that :func:`load_robot_body` took away."""
+    """Set a body's damping and clamp on joint speeds to PyBullet's defaults."""
     pybullet.changeDynamics(
         body,
         -1,
@@ -97,10 +107,11 @@ def use_own_settings(client: int, body: int) -> None:
 
 
 def set_masses(client: int, body: int, plant: Plant, row: int) -> None:
-    """Give a body the masses and inertias in one row of `plant`.
+    """Set the masses and inertias of a body to those in one row of `plant`.
 
-    PyBullet answers calculateMassMatrix, calculateInverseDynamics and calculateJacobian with the masses that a body
-    had when first asked, even where that body was removed and another one has taken its place in memory.
+    calculateMassMatrix, calculateInverseDynamics and calculateJacobian go on with the masses that
+    the body had when one of them was first called, even if that body was removed and another one
+    has taken its place in memory.
     """
     num_links = plant.link_mass.shape[1]
     first = pybullet.getNumJoints(body, physicsClientId=client) - 2 * num_links
@@ -110,10 +121,10 @@ def set_masses(client: int, body: int, plant: Plant, row: int) -> None:
         (first + 2 * j + 1, plant.link_mass[row, j], plant.link_inertia[row, j])
         for j in range(num_links)
     ]
-    for index, mass, inertia in bodies:  # a new mass alone would bring an inertia of PyBullet's own
+    for index, mass, inertia in bodies:  # with a mass alone PyBullet would compute an inertia
         moments = inertia.tolist()
-        # Where the largest is the sum of the other two, as a flat body's is, rounding must not put it above: PyBullet
-        # would answer no more questions.
+        # The largest moment of a flat body is the sum of the other two. If rounding put it above,
+        # PyBullet's functions would fail.
         largest = moments.index(max(moments))
         moments[largest] = min(moments[largest], sum(moments[:largest] + moments[largest + 1 :]))
         pybullet.changeDynamics(

@@ -1,15 +1,17 @@
-"""Rigid-body dynamics of the robot, compiled: what the cables' complementarity problem needs at every step.
+"""Rigid-body dynamics of the robot, compiled: what the cables' complementarity problem needs at
+every step.
 
-PyBullet's own mass matrix takes longer than its whole step, so the kernel has its own. Everything is in the
-world frame with the base's centre as the point of reference, and without gravity. Coordinates are in the
-declared order: base linear, base angular, sliders, hinges root to tip (x before y). With
+PyBullet's own mass matrix takes longer than its whole step, so the kernel has its own. Everything
+is in the world frame with the base's centre as the point of reference, and without gravity.
+Coordinates are in the declared order: base linear, base angular, sliders, hinges root to tip (x
+before y). With
 
     motion of hinge k   (p_k x a_k, a_k)   its unit velocity at the base's centre, and its axis
     motion of slider c  (e_z, 0)
 
-the mass matrix is Featherstone's composite-rigid-body algorithm, and the bias force Newton-Euler with zero
-accelerations. Compiled code is cached by the file that defines it: when a function that others inline has
-changed, their caches must be removed too (``__pycache__/*.nb?``).
+the mass matrix is Featherstone's composite-rigid-body algorithm, and the bias force Newton-Euler
+with zero accelerations. Compiled code is cached by the file that defines it: when a function that
+others inline has changed, their caches must be removed too (``__pycache__/*.nb?``).
 """
 
 from __future__ import annotations
@@ -89,7 +91,8 @@ def chain(robot: Robot) -> Chain:
 
 @numba.njit(cache=True)
 def own_chain(chain: Chain, plant: Plant, row: int) -> Chain:
-    """The numbers of one copy: masses and inertias from a row of `plant`, all else from the description."""
+    """The numbers of one copy: masses and inertias from a row of `plant`, all else from the
+    description."""
     return Chain(
         plant.base_mass[row],
         plant.base_inertia[row],
@@ -153,7 +156,8 @@ def forward_kinematics(chain: Chain, position: Array) -> Frames:
 
 @numba.njit(cache=True)
 def _add_body(composite: Array, mass: float, moments: Array, axes: Array, at: Vec) -> None:
-    """Add a body to a composite: mass, first moment (3), and xx, yy, zz, xy, xz, yz of its inertia."""
+    """Add a body to a composite: mass, first moment (3), and xx, yy, zz, xy, xz, yz of its
+    inertia."""
     composite[0] += mass
     for r in range(3):
         composite[1 + r] += mass * at[r]
@@ -176,8 +180,7 @@ def mass_matrix(chain: Chain, frames: Frames) -> Array:
     first = 6 + num_sliders
     size = first + 2 * num_links
     matrix = np.zeros((size, size))
-    composite = np.zeros(10)
-    momentum = np.empty(6)
+    composite, momentum = np.zeros(10), np.empty(6)
     for n in range(num_links - 1, -1, -1):
         _add_body(
             composite,

@@ -1,7 +1,8 @@
 """The equation of motion out of PyBullet's own functions, in the declared coordinates.
 
-PyBullet's are [base angular, base linear, joints] in the base's frame, and neither the base's place nor its
-linear velocity enters. So the body that is asked stays at the origin, and the base's rows are turned here.
+PyBullet's are [base angular, base linear, joints] in the base's frame, and neither the base's place
+nor its linear velocity enters. So the body that is asked stays at the origin, and the base's rows
+are turned here.
 """
 
 from __future__ import annotations
@@ -22,8 +23,8 @@ from cdcsr.simulation.rotations import rotation_matrix
 Array = NDArray[np.float64]
 
 _MOST_BODIES = 64
-"""Of 1 MB each. Before there are more the client is made anew, as removing bodies would not remove what PyBullet
-remembers of them."""
+"""The largest number of bodies, each of 1 MB. Before there are more, the client is made anew,
+because PyBullet remembers bodies that were removed."""
 
 
 class Equation:
@@ -74,7 +75,8 @@ class Equation:
         self._disconnect = weakref.finalize(self, pybullet.disconnect, self._client)
 
     def _chosen(self, plant: Plant) -> list[int]:
-        """The bodies with the masses in the rows of `plant`; one that was asked keeps its masses for ever."""
+        """The bodies with the masses in the rows of `plant`; one that was asked keeps its masses
+        for ever."""
         masses = (plant.base_mass, plant.base_inertia, plant.link_mass, plant.link_inertia)
         keys = [
             b"".join(part[row].tobytes() for part in masses) for row in range(len(plant.base_mass))

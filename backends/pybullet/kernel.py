@@ -21,8 +21,8 @@ def kernel_dynamics(
     Args:
         chain, rig: the description's numbers.
         plant: the numbers of n copies.
-        rest_length: of the cables as described, shape (C,), in [m]; the kernel itself knows only how far they are
-            from their own.
+        rest_length: of the cables as described, shape (C,), in [m]; the kernel itself knows only
+            how far they are from their own.
         position: as in a Snapshot, shape (n, 7 + C + 2 J).
         velocity: shape (n, nv).
     """

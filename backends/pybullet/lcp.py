@@ -1,4 +1,5 @@
-"""Linear complementarity with a positive definite matrix, and the triangular solves around it; compiled."""
+"""Linear complementarity with a positive definite matrix, and the triangular solves around it;
+compiled."""
 
 from __future__ import annotations
 
@@ -9,7 +10,8 @@ from numpy.typing import NDArray
 Array = NDArray[np.float64]
 
 _FAST = {"reassoc", "contract"}
-"""Sums may be reordered, so that they use vector instructions; NaN and infinity keep their meaning."""
+"""Sums may be reordered, so that they use vector instructions; NaN and infinity keep their
+meaning."""
 
 _BLOCK_TRIALS = 3
 _MAX_PIVOTS = 1000
@@ -37,7 +39,8 @@ def append_row(whole: Array, row: int, size: int, inverse: Array) -> None:
 
 @numba.njit(cache=True, fastmath=_FAST)
 def factor(whole: Array, size: int) -> Array:
-    """Cholesky factor of the symmetric matrix in the lower triangle of the first `size` rows, in place.
+    """Cholesky factor of the symmetric matrix in the lower triangle of the first `size` rows, in
+    place.
 
     Returns:
         One over the diagonal of the factor, shape (size,).
@@ -72,8 +75,8 @@ def solve_transposed(whole: Array, size: int, inverse: Array, vector: Array) -> 
 def solve_complementarity(matrix: Array, vector: Array, count: int, solution: Array) -> None:
     """Solve 0 <= x complementary to A x + b >= 0, which has one solution as A is positive definite.
 
-    Block principal pivoting (Judice and Pires): exchange all infeasible variables at once, and where that does
-    not make them fewer a few times over, only the last of them, which ends for certain (Murty).
+    Block principal pivoting (Judice and Pires) exchanges all infeasible variables at once. After a
+    few rounds in which their number does not fall, it exchanges only the last (Murty), which ends.
 
     Args:
         matrix: A in the first `count` rows and columns.

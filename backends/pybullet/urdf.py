@@ -1,15 +1,15 @@
-"""Robot -> URDF, and beside it the file of what URDF has no words for: cables, servos, springs.
+"""Write a robot as URDF, and beside it a file of what URDF cannot describe: cables, servos,
+springs.
 
-URDF has no universal joint, so each is two hinges with a massless link (`cross_<j>`) between them. The stock
-text carries everything URDF can say, joint limits and damping included; a simulation that handles those
-itself switches them off after loading.
+URDF has no universal joint, so each is two hinges with a massless link (`cross_<j>`) between them.
+The text holds all that URDF can describe, joint limits and damping too; a simulation that computes
+those itself switches them off after loading.
 """
 
 from __future__ import annotations
 
 import xml.etree.ElementTree as ET
 from collections.abc import Mapping
-from typing import Any
 
 import numpy as np
 
@@ -26,35 +26,68 @@ SEGMENT_COLORS = (
     (0.55, 0.38, 0.66, 1.0),
 )
 UNLIMITED = 1e6
-"""Effort and velocity limits, which URDF demands and the description does not have."""
+"""The effort and velocity limits, which URDF demands and the description does not have."""
 
 
 def joint_names(robot: Robot) -> list[str]:
-    """Names of the moving joints in the order of coordinates: sliders, then hinges root to tip, x before y."""
+    """Names of the moving joints in the order of coordinates: sliders, then hinges root to tip, x
+    before y."""
     sliders = [f"slide_{c}" for c in range(robot.num_cables)]
     return sliders + [f"hinge_{j}_{axis}" for j in range(robot.num_links) for axis in "xy"]
 
 
 def slider_places(robot: Robot) -> np.ndarray:
-    """Where the sliders rest in the base's frame, shape (C, 3), in [m]."""
+    """Return where the sliders rest in the base's frame, shape (C, 3), in [m]."""
     route = routing(robot)
     height = robot.top - route.guide_offset - route.slider_offset
     return np.column_stack([route.place, height])
 
 
 def urdf(robot: Robot, mesh_files: Mapping[str, str] | None = None) -> str:
-    """The robot as URDF text.
+    """Return the robot as URDF text.
 
     Args:
         robot: the description.
-        mesh_files: visual mesh of a link by its name (``"base"``, ``"link_3"``, ...), in metres and in the
-            link's frame; links without one are drawn as boxes, cylinders and balls.
+        mesh_files: the visual mesh of a link by its name (``"base"``, ``"link_3"``, ...), in metres
+            and in the link's frame; links without one look like boxes, cylinders and balls.
     """
-    meshes = mesh_files or {}
-    root = ET.Element("robot", name=robot.name)
-    base, top = robot.base, robot.top
+    model = _Model(robot.name, mesh_files or {})
+    base = robot.base
+    model.link("base", base.mass, base.inertia, ("box", {"size": _text(*base.size)}), BASE_COLOR)
+    for c, (servo, place) in enumerate(zip(robot.servos, slider_places(robot), strict=True)):
+        name, moment = f"slider_{c}", 0.4 * servo.mass * servo.radius**2
+        ball = ("sphere", {"radius": _text(servo.radius)})
+        model.link(name, servo.mass, (moment, moment, moment), ball, SLIDER_COLOR)
+        joint = ("prismatic", "0 0 1", UNLIMITED, servo.damping)
+        model.joint(f"slide_{c}", joint, "base", name, tuple(place))
+
+    segment_of = [s for s, segment in enumerate(robot.segments) for _ in range(segment.links)]
+    parent, height = "base", robot.top
+    for j, (part, hinge) in enumerate(robot.links):
+        cross, own = f"cross_{j}", f"link_{j}"
+        ball = ("sphere", {"radius": _text(1.15 * part.radius)})
+        model.link(cross, 0.0, (0.0, 0.0, 0.0), ball, CROSS_COLOR)
+        joint = ("revolute", "1 0 0", hinge.limit, hinge.damping)
+        model.joint(f"hinge_{j}_x", joint, parent, cross, (0, 0, height))
+        cylinder = ("cylinder", {"radius": _text(part.radius), "length": _text(part.length)})
+        color = SEGMENT_COLORS[segment_of[j] % len(SEGMENT_COLORS)]
+        model.link(own, part.mass, part.inertia, cylinder, color, part.length / 2)
+        joint = ("revolute", "0 1 0", hinge.limit, hinge.damping)
+        model.joint(f"hinge_{j}_y", joint, cross, own, (0, 0, 0))
+        parent, height = own, part.length
+    ET.indent(model.root)  # Bullet's parser fails on very long lines
+    return '<?xml version="1.0"?>\n' + ET.tostring(model.root, encoding="unicode") + "\n"
+
+
+class _Model:
+    """A URDF model to which links and joints are added."""
+
+    def __init__(self, name: str, meshes: Mapping[str, str]) -> None:
+        self.root = ET.Element("robot", name=name)
+        self._meshes = meshes
 
     def link(
+        self,
         name: str,
         mass: float,
         inertia: tuple[float, float, float],
@@ -62,19 +95,18 @@ def urdf(robot: Robot, mesh_files: Mapping[str, str] | None = None) -> str:
         color: tuple[float, ...],
         height: float = 0.0,
     ) -> None:
-        """One link, its centre of mass and its shape at `height` above its frame."""
-        element = ET.SubElement(root, "link", name=name)
+        """Add a link whose centre of mass and shape are at `height` above its frame."""
+        element = ET.SubElement(self.root, "link", name=name)
         inertial = ET.SubElement(element, "inertial")
         ET.SubElement(inertial, "origin", xyz=_text(0, 0, height), rpy="0 0 0")
         ET.SubElement(inertial, "mass", value=_text(mass))
         ixx, iyy, izz = (_text(moment) for moment in inertia)
         ET.SubElement(inertial, "inertia", ixx=ixx, ixy="0", ixz="0", iyy=iyy, iyz="0", izz=izz)
         visual = ET.SubElement(element, "visual")
-        if name in meshes:
+        if name in self._meshes:
             ET.SubElement(visual, "origin", xyz="0 0 0", rpy="0 0 0")
-            ET.SubElement(
-                ET.SubElement(visual, "geometry"), "mesh", filename=meshes[name], scale="1 1 1"
-            )
+            geometry = ET.SubElement(visual, "geometry")
+            ET.SubElement(geometry, "mesh", filename=self._meshes[name], scale="1 1 1")
         else:
             ET.SubElement(visual, "origin", xyz=_text(0, 0, height), rpy="0 0 0")
             ET.SubElement(ET.SubElement(visual, "geometry"), shape[0], shape[1])
@@ -82,78 +114,33 @@ def urdf(robot: Robot, mesh_files: Mapping[str, str] | None = None) -> str:
         ET.SubElement(material, "color", rgba=_text(*color))
 
     def joint(
+        self,
         name: str,
-        kind: str,
+        joint: tuple[str, str, float, float],
         parent: str,
         child: str,
         place: tuple[float, ...],
-        axis: str,
-        reach: float,
-        damping: float,
     ) -> None:
-        element = ET.SubElement(root, "joint", name=name, type=kind)
+        """Add a joint at `place` in the parent's frame; `joint` is type, axis, limit and
+        damping."""
+        kind, axis, limit, damping = joint
+        element = ET.SubElement(self.root, "joint", name=name, type=kind)
         ET.SubElement(element, "parent", link=parent)
         ET.SubElement(element, "child", link=child)
         ET.SubElement(element, "origin", xyz=_text(*place), rpy="0 0 0")
         ET.SubElement(element, "axis", xyz=axis)
-        limits = {"lower": _text(-reach), "upper": _text(reach)}
-        ET.SubElement(
-            element, "limit", limits | {"effort": _text(UNLIMITED), "velocity": _text(UNLIMITED)}
-        )
+        limits = {"lower": _text(-limit), "upper": _text(limit)}
+        limits |= {"effort": _text(UNLIMITED), "velocity": _text(UNLIMITED)}
+        ET.SubElement(element, "limit", limits)
         ET.SubElement(element, "dynamics", damping=_text(damping), friction="0")
 
-    link("base", base.mass, base.inertia, ("box", {"size": _text(*base.size)}), BASE_COLOR)
-    for c, (servo, place) in enumerate(zip(robot.servos, slider_places(robot), strict=True)):
-        moment = 0.4 * servo.mass * servo.radius**2
-        ball = ("sphere", {"radius": _text(servo.radius)})
-        link(f"slider_{c}", servo.mass, (moment, moment, moment), ball, SLIDER_COLOR)
-        joint(
-            f"slide_{c}",
-            "prismatic",
-            "base",
-            f"slider_{c}",
-            tuple(place),
-            "0 0 1",
-            UNLIMITED,
-            servo.damping,
-        )
 
-    segment_of = [s for s, segment in enumerate(robot.segments) for _ in range(segment.links)]
-    parent, height = "base", top
-    for j, (part, hinge) in enumerate(robot.links):
-        cross, own = f"cross_{j}", f"link_{j}"
-        link(
-            cross,
-            0.0,
-            (0.0, 0.0, 0.0),
-            ("sphere", {"radius": _text(1.15 * part.radius)}),
-            CROSS_COLOR,
-        )
-        joint(
-            f"hinge_{j}_x",
-            "revolute",
-            parent,
-            cross,
-            (0, 0, height),
-            "1 0 0",
-            hinge.limit,
-            hinge.damping,
-        )
-        cylinder = ("cylinder", {"radius": _text(part.radius), "length": _text(part.length)})
-        color = SEGMENT_COLORS[segment_of[j] % len(SEGMENT_COLORS)]
-        link(own, part.mass, part.inertia, cylinder, color, part.length / 2)
-        joint(
-            f"hinge_{j}_y", "revolute", cross, own, (0, 0, 0), "0 1 0", hinge.limit, hinge.damping
-        )
-        parent, height = own, part.length
-    ET.indent(root)  # Bullet's parser fails on very long lines
-    return '<?xml version="1.0"?>\n' + ET.tostring(root, encoding="unicode") + "\n"
+def cable_file(robot: Robot) -> dict[str, object]:
+    """Return what URDF cannot describe: cables with their guides and servos, hinge springs, the
+    tip.
 
-
-def cable_file(robot: Robot) -> dict[str, Any]:
-    """What the URDF cannot say, in its names: cables with their guides and servos, hinge springs, the tip.
-
-    Guides are (link name, place in the link's frame), from the base's to the anchor. Lengths in [m].
+    Links and joints have the URDF's names. The guides of a cable are in order from the base to its
+    anchor, each with its place in its link's frame; lengths are in [m].
     """
     route, names = routing(robot), joint_names(robot)
     cables = []
@@ -195,5 +182,5 @@ def cable_file(robot: Robot) -> dict[str, Any]:
 
 
 def _text(*numbers: float) -> str:
-    """Numbers as URDF writes vectors; `repr` keeps every bit."""
+    """Return numbers as URDF writes vectors; `repr` keeps every bit."""
     return " ".join(repr(float(number)) for number in numbers)

@@ -1,8 +1,9 @@
 """The copies of a robot spread over worker processes, each with a World of its own.
 
-A worker is a plain subprocess rather than one of `multiprocessing`, so that it never imports the caller's main
-module (which may import a learning framework, or start simulations itself). Requests go in by its standard
-input, answers come back by what was its standard output. Either side notices at once when the other is gone.
+A worker is a plain subprocess and not one of `multiprocessing`, so that it never imports the
+caller's main module, which may import a learning framework or start simulations itself. Requests go
+in by its standard input, and answers come back by what was its standard output. Either side notices
+at once when the other is gone.
 """
 
 from __future__ import annotations
@@ -16,8 +17,8 @@ import signal
 import subprocess
 import sys
 import weakref
-from collections.abc import Iterable
-from typing import IO, Any, Literal
+from collections.abc import Iterable, Sequence
+from typing import IO, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -30,13 +31,16 @@ from cdcsr.simulation.plant import Plant
 Array = NDArray[np.float64]
 Method = Literal["set_plant", "use_own_settings", "reset", "place", "step"]
 
-_START = "import json, sys; sys.path[:] = json.loads(sys.argv[1]); from backends.pybullet.workers import serve; serve()"
+_START = (
+    "import json, sys; sys.path[:] = json.loads(sys.argv[1]); "
+    "from backends.pybullet.workers import serve; serve()"
+)
 _PATIENCE = 5.0
-"""Seconds a worker has to end by itself."""
+"""A worker that has not ended after this time, in [s], is killed."""
 
 
 class Pool:
-    """Stands in for a World of `num` copies; the attributes and methods are the same."""
+    """The stand-in for a World of `num` copies, with the same attributes and methods."""
 
     def __init__(self, robot: Robot, num: int, workers: int) -> None:
         edges = np.linspace(0, num, workers + 1).round().astype(int)
@@ -65,7 +69,7 @@ class Pool:
         )
 
     def use_own_settings(self) -> None:
-        """Let PyBullet damp and clamp motion as it does by default."""
+        """Set PyBullet's default damping and clamp; see :meth:`World.use_own_settings`."""
         self._call("use_own_settings", [() for _ in self._shares])
 
     def reset(self, ids: Iterable[int]) -> None:
@@ -88,59 +92,57 @@ class Pool:
         ]
 
     def close(self) -> None:
-        """End the workers; closing twice does nothing."""
+        """End the workers; to close twice does nothing."""
         self._end()
 
-    def _call(self, method: Method, arguments: list[tuple[Any, ...]]) -> list[Any]:
+    def _call(
+        self, method: Method, arguments: Sequence[tuple[object, ...]]
+    ) -> list[list[Divergence]]:
         return self._ask([(method, *args) for args in arguments])
 
-    def _ask(self, requests: list[tuple[Any, ...]]) -> list[Any]:
-        """Send every worker its request, then take over the state of its copies and collect the results."""
+    def _ask(self, requests: Sequence[tuple[object, ...]]) -> list[list[Divergence]]:
+        """Send every worker its request, read the state of its copies, and return the results."""
         if not self._end.alive:
             raise CdcsrError(
-                "This simulation is closed, or one of its worker processes was lost; make a new one."
+                "This simulation is closed, or it lost one of its worker processes; make a new one."
             )
-        results, index = [], 0
+        results: list[list[Divergence]] = []
+        index = 0
         try:
             for index, request in enumerate(requests):
                 _send(_pipe(self._workers[index].stdin), request)
             for index, share in enumerate(self._shares):
                 result, state = pickle.load(_pipe(self._workers[index].stdout))
-                (
-                    self.time[share],
-                    self.position[share],
-                    self.velocity[share],
-                    self.tension[share],
-                ) = state
+                self.time[share], self.position[share] = state[:2]
+                self.velocity[share], self.tension[share] = state[2:]
                 results.append(result)
         except (EOFError, OSError, pickle.UnpicklingError):
             worker, share = self._workers[index], self._shares[index]
             self.close()
             raise CdcsrError(
-                f"The PyBullet worker process of copies {share.start} to {share.stop - 1} ended unexpectedly "
-                f"(exit code {worker.returncode}); make a new simulation, with fewer workers if memory is short."
+                f"The PyBullet worker process of copies {share.start} to {share.stop - 1} ended "
+                f"unexpectedly (exit code {worker.returncode}); make a new simulation, with fewer "
+                "workers if memory is short."
             ) from None
-        except (
-            BaseException
-        ):  # interrupted between question and answer: what comes next would be out of step
+        except BaseException:  # an interrupt: the next answer would belong to this request
             self.close()
             raise
         return results
 
 
 def serve() -> None:
-    """The life of a worker: make a World, then answer requests until there are no more."""
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # the caller's to handle; it then closes our input
+    """Run a worker: make a World, then answer requests until there are no more."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # the caller handles it, and closes our input
     requests = sys.stdin.buffer
     answers = os.fdopen(os.dup(1), "wb")
     os.dup2(2, 1)  # PyBullet writes messages to the standard output
     world = World(*pickle.load(requests))
-    result = None
+    result: list[Divergence] = []
     try:
         while True:
             _send(answers, (result, (world.time, world.position, world.velocity, world.tension)))
             method, *arguments = pickle.load(requests)
-            result = getattr(world, method)(*arguments)
+            result = getattr(world, method)(*arguments) or []
     except (EOFError, BrokenPipeError):
         world.close()
 
@@ -151,7 +153,7 @@ def _send(pipe: IO[bytes], message: object) -> None:
 
 
 def _pipe(pipe: IO[bytes] | None) -> IO[bytes]:
-    """A Popen's pipe, which exists as it was asked for."""
+    """Return a pipe of a Popen that was opened with it."""
     assert pipe is not None
     return pipe
 

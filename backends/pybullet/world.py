@@ -1,4 +1,4 @@
-"""Some copies of a robot, stepped together in this process."""
+"""Copies of a robot that are stepped together in this process."""
 
 from __future__ import annotations
 
@@ -20,20 +20,20 @@ from cdcsr.simulation.plant import Parameters, Plant
 Array = NDArray[np.float64]
 
 MAX_TURN = 0.5
-"""A hinge or base that turns further than this within one step, in [rad], has left what a step can follow."""
-
-
+"""A copy has diverged if a hinge or its base turns by more than this in one step, in [rad]."""
 COPIES_PER_CLIENT = 4
-"""PyBullet's step takes a time that grows with the square of the bodies in a client; a client takes 27 MB."""
+"""The time of PyBullet's step grows with the square of the bodies in a client, and a client takes
+27 MB."""
 
 
 class Divergence(NamedTuple):
-    """A copy whose numbers no longer mean anything."""
+    """A copy that has diverged."""
 
     copy: int
     time: float
-    """Simulated time of the copy in [s]."""
+    """The simulated time of the copy, in [s]."""
     what: str
+    """The cause, for the message."""
 
 
 class World:
@@ -55,11 +55,8 @@ class World:
                 self._clients.append(connect(robot))
             self._bodies.append((self._clients[-1], load_robot_body(robot, self._clients[-1])))
         self._joints = range(robot.num_cables + robot.num_hinges)
-        self._chain, self._rig, self._plant = (
-            chain(robot),
-            rig(robot),
-            Parameters().plant(robot, num),
-        )
+        self._chain, self._rig = chain(robot), rig(robot)
+        self._plant = Parameters().plant(robot, num)
         self._time_step = robot.time_step
         self.time = np.zeros(num)
         self.position = np.zeros((num, 7 + len(self._joints)))
@@ -97,13 +94,9 @@ class World:
             self._write(copy)
 
     def place(self, time: Array, position: Array, velocity: Array, tension: Array) -> None:
-        """Put every copy into a state; shapes as of the attributes."""
-        self.time[:], self.position[:], self.velocity[:], self.tension[:] = (
-            time,
-            position,
-            velocity,
-            tension,
-        )
+        """Put every copy into a state; the shapes are those of the attributes."""
+        self.time[:], self.tension[:] = time, tension
+        self.position[:], self.velocity[:] = position, velocity
         for copy in range(len(self._bodies)):
             self._write(copy)
             self._read(copy)
@@ -116,7 +109,8 @@ class World:
             substeps: how many time steps.
 
         Returns:
-            The copies that diverged, in order; they are back at the start, and the others have gone on.
+            The copies that diverged, in order. They are back at the start; the others have made all
+            substeps.
         """
         lost: dict[int, Divergence] = {}
         for _ in range(substeps):
@@ -155,7 +149,7 @@ class World:
         return [lost[copy] for copy in sorted(lost)]
 
     def close(self) -> None:
-        """Release the clients; closing twice does nothing."""
+        """Release the clients; to close twice does nothing."""
         self._disconnect()
 
     def _complaint(self, copy: int) -> str:
@@ -163,7 +157,8 @@ class World:
         if not np.isfinite(speed).all():
             return "velocities are no longer finite"
         worst = int(np.argmax(speed / self._fastest))
-        return f"coordinate {worst} moves at {speed[worst]:.3g}, which no step of {self._time_step:g} s can follow"
+        limit = f"too fast for a step of {self._time_step:g} s"
+        return f"coordinate {worst} moves at {speed[worst]:.3g}, {limit}"
 
     def _write(self, copy: int) -> None:
         """Give PyBullet the position and velocity of a copy."""

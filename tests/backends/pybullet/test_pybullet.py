@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 import gc
 import itertools
+import json
 import os
 import signal
 import xml.etree.ElementTree as ET
@@ -78,7 +79,7 @@ def test_urdf_draws_meshes_where_there_are_some(paper: Robot) -> None:
 
 
 def test_guides_of_the_cable_file_are_as_far_apart_as_the_rest_length(robot: Robot) -> None:
-    file = cable_file(robot)
+    file = json.loads(json.dumps(cable_file(robot)))
     heights = {"base": 0.0} | {
         f"link_{j}": robot.top + sum(link.length for link, _ in robot.links[:j])
         for j in range(robot.num_links)
