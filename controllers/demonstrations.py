@@ -1,47 +1,24 @@
-"""Demonstrations: record a controller into a Minari dataset, and read one back."""
+"""Record demonstrations of a controller, and save and load them as Minari datasets."""
 
 from __future__ import annotations
 
 import copy
 import hashlib
 from collections.abc import Sequence
-from dataclasses import dataclass
 from pathlib import Path
 
 import gymnasium
 import numpy as np
-from numpy.typing import NDArray
 
 from cdcsr.envs.gym_env import TaskVectorEnv
 from cdcsr.errors import CdcsrError
 from cdcsr.tasks.observation import TARGET
 from controllers.controller import Controller
-
-Array = NDArray[np.float64]
-
-
-@dataclass(frozen=True)
-class Episode:
-    """One successful episode of T actions."""
-
-    observations: Array
-    """(T + 1, 23 + C)."""
-    actions: Array
-    """(T, C) servo set-points in [m]."""
-    target: Array
-    """(3,) where it was in the beginning, world frame, in [m]."""
-    rewards: Array
-    """(T,)."""
-    terminated: bool
-    """It ended by success, and not by running out of time, as an episode of following does."""
-
-    @property
-    def length(self) -> int:
-        return len(self.actions)
+from controllers.rollout import Episode, rollout
 
 
 def digest(episodes: Sequence[Episode]) -> str:
-    """Of what happens in them: equal only for equal episodes."""
+    """Return 16 hexadecimal digits that are equal only for equal episodes."""
     data = hashlib.sha256()
     for episode in episodes:
         for values in (episode.observations, episode.actions, episode.rewards):
@@ -49,56 +26,19 @@ def digest(episodes: Sequence[Episode]) -> str:
     return data.hexdigest()[:16]
 
 
-@dataclass(frozen=True)
-class Rollout:
-    """One episode of each of N copies, run side by side; rows go on after an episode's end."""
-
-    observations: Array
-    """(N, steps + 1, 23 + C)."""
-    actions: Array
-    """(N, steps, C) servo set-points in [m]."""
-    targets: Array
-    """(N, 3) where they were in the beginning, world frame, in [m]."""
-    rewards: Array
-    """(N, steps)."""
-    success: NDArray[np.bool_]
-    """(N,)."""
-    terminated: NDArray[np.bool_]
-    """(N,) ended by success, and not by running out of time."""
-    length: NDArray[np.int64]
-    """(N,) actions until the end of each episode."""
-    distance: Array
-    """(N,) from tip to target at that end, in [m]."""
-    nearest: Array
-    """(N,) the least it was before or at that end, in [m]; of the plant, whatever was observed."""
-
-    def successes(self) -> list[Episode]:
-        """The successful episodes, each cut to its length."""
-        return [self._episode(i, n) for i, n in enumerate(self.length) if self.success[i]]
-
-    def _episode(self, i: int, length: int) -> Episode:
-        return Episode(
-            self.observations[i, : length + 1],
-            self.actions[i, :length],
-            self.targets[i],
-            self.rewards[i, :length],
-            bool(self.terminated[i]),
-        )
-
-
 def record(
     controller: Controller, env: TaskVectorEnv, num: int, seed: int
 ) -> tuple[list[Episode], int]:
-    """Record successful episodes of a controller; one that misses its target is drawn anew.
+    """Record successful episodes of a controller; in place of failed ones new targets are drawn.
 
     Args:
-        controller: who demonstrates.
-        env: robots with autoreset disabled, as many as run side by side.
+        controller: the demonstrator.
+        env: an environment with autoreset disabled.
         num: how many successful episodes.
-        seed: of the targets.
+        seed: seeds the targets.
 
     Returns:
-        The episodes in the order of their targets, and how many failed along the way.
+        The episodes in the order of their targets, and how many episodes failed.
 
     Raises:
         CdcsrError: fewer than one in ten of the episodes succeeds.
@@ -114,43 +54,11 @@ def record(
             return episodes[:num], failed
         if failed > 10 * max(num, env.num_envs):
             raise CdcsrError(
-                f"The controller {controller.name!r} reached {len(episodes)} of {len(episodes) + failed} targets "
-                f"in the space {env.space.name!r}; move or shrink the robot's workspace."
+                f"The controller {controller.name!r} reached {len(episodes)} of "
+                f"{len(episodes) + failed} targets in the space {env.space.name!r}; move or shrink "
+                "the robot's workspace."
             )
         observation, _ = env.reset()
-
-
-def rollout(controller: Controller, env: TaskVectorEnv, observation: Array) -> Rollout:
-    """One episode per copy, from the observation of a reset."""
-    num = env.num_envs
-    active = np.ones(num, dtype=bool)
-    success, ended = np.zeros((2, num), dtype=bool)
-    length = np.zeros(num, dtype=np.int64)
-    distance, nearest = np.full((2, num), np.inf)
-    observations, actions, rewards, targets = [observation], [], [], env.targets.copy()
-    while active.any():
-        action = controller.act(env, observation, active)
-        observation, reward, terminated, truncated, info = env.step(action)
-        observations.append(observation)
-        actions.append(action)
-        rewards.append(reward)
-        length[active] += 1
-        distance[active] = info["distance"][active]
-        nearest[active] = np.minimum(nearest, info["distance"])[active]
-        success[active] = info["is_success"][active]
-        ended |= active & terminated
-        active &= ~(terminated | truncated)
-    return Rollout(
-        np.stack(observations, axis=1),
-        np.stack(actions, axis=1),
-        targets,
-        np.stack(rewards, axis=1),
-        success,
-        ended,
-        length,
-        distance,
-        nearest,
-    )
 
 
 def save(
@@ -177,7 +85,8 @@ def save(
             "dataset_id": dataset_id,
             "minari_version": minari.__version__,
             "algorithm_name": controller,
-            "description": f"Successful episodes of {env.task.name!r} by a cable-driven continuum space robot.",
+            "description": f"Successful episodes of {env.task.name!r} by a cable-driven continuum "
+            "space robot.",
             "robot": env.robot.name,
             "robot_fingerprint": env.robot.fingerprint,
             "task": env.task.name,
@@ -205,10 +114,16 @@ def save(
 def load(
     folder: Path, robot_fingerprint: str, frame_skip: int = 1, task: str | None = None
 ) -> list[Episode]:
-    """Read the episodes of a dataset written by :func:`save`; of any task, if none is given.
+    """Read the episodes of a dataset that :func:`save` wrote.
+
+    Args:
+        folder: the dataset.
+        robot_fingerprint: identifies the robot that it must be of.
+        frame_skip: how many simulation steps each action must have been held for.
+        task: the task that it must be of; by default any.
 
     Raises:
-        CdcsrError: it is no such dataset, or of another robot, frame skip or task.
+        CdcsrError: it is no such dataset, or it is of another robot, frame skip or task.
     """
     from minari import MinariDataset
 
@@ -223,8 +138,9 @@ def load(
         ) from None
     if found[0] != robot_fingerprint:
         raise CdcsrError(
-            f"The demonstrations in {folder} are of robot {metadata['robot']!r} ({found[0]}), not of the robot asked "
-            f"for ({robot_fingerprint}); record new ones with `cdcsr demonstrate`."
+            f"The demonstrations in {folder} are of robot {metadata['robot']!r} ({found[0]}), not "
+            f"of the robot asked for ({robot_fingerprint}); record new ones with "
+            "`cdcsr demonstrate`."
         )
     if found[1] != frame_skip:
         raise CdcsrError(
@@ -232,8 +148,8 @@ def load(
         )
     if task is not None and found[2] != task:
         raise CdcsrError(
-            f"The demonstrations in {folder} are of the task {found[2]!r}, not {task!r}; record some with "
-            f"`cdcsr demonstrate --task {task}`."
+            f"The demonstrations in {folder} are of the task {found[2]!r}, not {task!r}; record "
+            f"some with `cdcsr demonstrate --task {task}`."
         )
     return [
         Episode(

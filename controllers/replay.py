@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from cdcsr.robot.description import Robot
 from cdcsr.simulation.engines import make_simulation
 from cdcsr.tasks.observation import TIP_POSITION
-from controllers.demonstrations import Episode
+from controllers.rollout import Episode
 
 Array = NDArray[np.float64]
 

@@ -1,4 +1,4 @@
-"""What could be done at all: a search, target by target, for commands that do better than a controller's."""
+"""Search, target by target, for commands that do better than a controller's."""
 
 from __future__ import annotations
 
@@ -9,54 +9,63 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cdcsr.envs.gym_env import TaskVectorEnv
-from controllers.controller import Controller
-from controllers.demonstrations import Rollout, rollout
+from cdcsr.robot.description import Robot
+from cdcsr.simulation.contract import State
+from controllers.controller import Conditions, Controller, Target
+from controllers.rollout import Rollout, rollout
 
 Array = NDArray[np.float64]
 
 HOLD = 10
-"""Actions for which an offset is held; faster ones do little on these arms."""
+"""The number of actions for which an offset is held; faster ones do little on these arms."""
 KEPT = 6
-"""One in so many plans is kept from each round."""
+"""One plan in so many is kept from each round."""
 FOLLOWED = 0.7
-"""How far the distribution moves towards those that are kept, in each round."""
+"""The share of the way that the distribution moves towards the kept plans in each round."""
 WIDTH, LEAST_WIDTH = 0.4, 0.06
-"""Standard deviation of offsets at the start, and the least it comes to, as parts of a servo's eta."""
+"""Standard deviation of offsets at the start, and its lower bound, as parts of a servo's eta."""
 
 
 @dataclass(frozen=True)
 class Outcome:
-    """How tries at one target went."""
+    """The outcome of several tries at one target."""
 
     reached: float
-    """Share of the tries that succeed."""
+    """The share of the tries that succeed."""
     length: float
-    """Mean number of actions; failed tries count in full."""
+    """The mean number of actions; failed tries count in full."""
     nearest: float
-    """Median of the least distance from tip to target, in [m]."""
+    """The median of the least distance from tip to target, in [m]."""
 
     @property
     def order(self) -> tuple[float, float]:
-        """Outcomes sort by this from best to worst: more often reached, then sooner; never reached, then nearer."""
+        """A key that sorts outcomes from best to worst.
+
+        The share reached counts first, then the length; if no try succeeds, the distance.
+        """
         return (-self.reached, self.length) if self.reached else (0.0, self.nearest)
 
 
 class Nudged(Controller):
-    """A controller whose commands are shifted by a plan of offsets, another one for each copy."""
+    """Adds a plan of offsets to the commands of a controller, another plan for each copy.
+
+    Args:
+        controller: the controller whose commands are shifted.
+        plans: offsets of the set-points, shape (num, ceil(actions / HOLD), C), in [m].
+    """
 
     def __init__(self, controller: Controller, plans: Array) -> None:
-        """Nudge a controller.
-
-        Args:
-            controller: whose commands these are.
-            plans: shape (num, ceil(actions / HOLD), C), in [m] of set-point.
-        """
-        self.name = controller.name
+        self.name, self.privileged = controller.name, controller.privileged
         self._controller, self._plans = controller, plans
 
-    def act(self, env: TaskVectorEnv, observation: Array, active: NDArray[np.bool_]) -> Array:
-        offset = self._plans[np.arange(env.num_envs), env.actions_taken // HOLD]
-        return np.clip(self._controller.act(env, observation, active) + offset, -_eta(env), 0)
+    def begin(self, conditions: Conditions) -> None:
+        self._controller.begin(conditions)
+        self._eta, self._period = _eta(conditions.robot), conditions.period
+
+    def act(self, state: State, target: Target, time: Array) -> Array:
+        actions = np.rint(np.nan_to_num(time) / self._period).astype(np.int64)
+        offset = self._plans[np.arange(len(time)), actions // HOLD]
+        return np.clip(self._controller.act(state, target, time) + offset, -self._eta, 0)
 
 
 def improve(
@@ -67,27 +76,31 @@ def improve(
     seed: int,
     wanted: Callable[[Outcome], bool] = lambda outcome: True,  # noqa: ARG005
 ) -> tuple[Outcome, Outcome]:
-    """Search by the cross-entropy method (Rubinstein 1999) for offsets that reach a target more surely, or sooner.
+    """Search for offsets that reach a target more surely or sooner.
 
-    In every round each copy of the environment tries a plan of its own, drawn about the best so far. A plan that
-    reaches the target is better the sooner it does, and one that does not the nearer it comes. The controller keeps
-    on closing the loop beneath, and its own commands are a plan of the first round. In the end the best plan, and the
-    middle of the last round's, are tried in all copies, and the best of these two and the controller alone is tried
-    once more, under disturbances drawn anew: how that goes is a lower bound of what can be done, or under disturbances
-    an estimate of one, without the luck of the tries that chose it.
+    The search is the cross-entropy method (Rubinstein 1999). In every round each copy of the
+    environment tries a plan of its own, drawn around the best plans of the round before. A plan
+    that reaches the target ranks by how soon, and one that does not by how near it comes. The
+    controller keeps closing the loop beneath, and its own commands are a plan of the first round.
+
+    In the end the best plan and the mean of the last round's plans are tried in all copies. The
+    best of these two and the controller alone is tried once more, under disturbances drawn anew.
+    That outcome is free of the luck of the tries that chose it. It is a lower bound of what can be
+    done, or under disturbances an estimate of one.
 
     Args:
-        controller: where the search begins.
-        env: copies of one robot with autoreset disabled, disturbed or not; of a task that ends with success.
-        target: shape (3,), world frame, in [m].
-        rounds: how many.
-        seed: of plans and disturbances.
-        wanted: says from the controller's own outcome whether to search at all.
+        controller: the controller with which the search begins.
+        env: copies of one robot with autoreset disabled, disturbed or not, at a task that ends
+            with success.
+        target: shape (3,), in [m].
+        rounds: the number of rounds.
+        seed: seeds plans and disturbances.
+        wanted: tells from the controller's own outcome whether to search at all.
 
     Returns:
-        How the controller does, and how the best of it and what was found does.
+        The outcome of the controller, and that of the best found.
     """
-    num, eta = env.num_envs, _eta(env)
+    num, eta = env.num_envs, _eta(env.robot)
     rng = np.random.default_rng(seed)
     mean = np.zeros((-(-env.max_actions // HOLD), len(eta)))
     spread = np.broadcast_to(WIDTH * eta, mean.shape)
@@ -105,7 +118,7 @@ def improve(
         plans = mean + spread * rng.normal(size=(num, *mean.shape))
         plans[0] = mean
         result = tried(plans)
-        # Successes first, by when; then misses, by how near.
+        # Successes come first, by length; then failures, by distance.
         rank = np.where(result.success, result.length, result.nearest)
         order = np.lexsort((rank, ~result.success))
         kept, first = plans[order[: max(1, num // KEPT)]], order[0]
@@ -113,19 +126,18 @@ def improve(
             best, best_rank = plans[first], standing
         mean = mean + FOLLOWED * (kept.mean(0) - mean)
         spread = spread + FOLLOWED * (np.maximum(kept.std(0), LEAST_WIDTH * eta) - spread)
-    found = [(_outcome(tried(_everywhere(plan, num))), plan) for plan in (mean, best)]
+    found = [(_outcome(tried(_in_every_copy(plan, num))), plan) for plan in (mean, best)]
     _, chosen = min([(alone, np.zeros(mean.shape)), *found], key=lambda option: option[0].order)
-    return alone, _outcome(tried(_everywhere(chosen, num)))
+    return alone, _outcome(tried(_in_every_copy(chosen, num)))
 
 
-def _everywhere(plan: Array, num: int) -> Array:
-    """One plan in every copy."""
+def _in_every_copy(plan: Array, num: int) -> Array:
     return np.broadcast_to(plan, (num, *plan.shape))
 
 
-def _eta(env: TaskVectorEnv) -> Array:
-    """Set-points lie in [-eta, 0], shape (C,), in [m]."""
-    return np.array([servo.eta for servo in env.robot.servos])
+def _eta(robot: Robot) -> Array:
+    """Return the range of the set-points, shape (C,), in [m]: they lie in [-eta, 0]."""
+    return np.array([servo.eta for servo in robot.servos])
 
 
 def _outcome(result: Rollout) -> Outcome:

@@ -1,4 +1,4 @@
-"""Mapping a robot's workspace: what the demonstrator reaches, found by growing from where it surely does."""
+"""Map a robot's workspace: the points that the scripted demonstrator reaches."""
 
 from __future__ import annotations
 
@@ -12,13 +12,13 @@ from cdcsr.envs.gym_env import TaskVectorEnv
 from cdcsr.errors import CdcsrError
 from cdcsr.robot.description import Robot
 from cdcsr.tasks.workspace_map import Workspace, cells_between
-from controllers.demonstrations import rollout
 from controllers.jacobian import JacobianController
+from controllers.rollout import rollout
 
 Array = NDArray[np.float64]
 
 BATCH = 128
-"""Targets that are tried side by side."""
+"""The number of targets that are tried side by side."""
 _NEIGHBOURS = np.concatenate([np.eye(3, dtype=np.int64), -np.eye(3, dtype=np.int64)])
 
 
@@ -29,19 +29,20 @@ def compute_workspace(
     frame_skip: int,
     progress: Callable[[int, int], None] = lambda *_: None,
 ) -> Workspace:
-    """Try the points of a grid through the middle of the robot's Anchor Space, spreading from those reached.
+    """Try the points of a grid, from the middle of the robot's Anchor Space outwards.
 
-    Whatever a straight path of reached points does not connect to the Anchor Space stays unknown.
+    Each point that is reached has its neighbours tried too, so points that no path along reached
+    points connects to the Anchor Space stay unknown.
 
     Args:
         robot: the description.
         backend: the engine.
-        spacing: of the grid, in [m].
-        frame_skip: simulation steps each of the demonstrator's commands is held for.
+        spacing: the distance between neighbours in the grid, in [m].
+        frame_skip: how many simulation steps each of the demonstrator's commands is held for.
         progress: called after each batch with the numbers of points tried and reached.
 
     Raises:
-        CdcsrError: the demonstrator does not reach even the middle of the Anchor Space, or no whole cell.
+        CdcsrError: the demonstrator reaches all corners of no cell of the grid.
     """
     middle = np.array(robot.workspace.center)
     reached: list[tuple[int, int, int]] = []
@@ -70,16 +71,16 @@ def compute_workspace(
     cells, wide = cells_between(np.array(reached, dtype=np.int64).reshape(-1, 3))
     if len(cells) == 0:
         raise CdcsrError(
-            f"The demonstrator reaches {len(reached)} of {tried} points {spacing:g} m apart around the middle of the "
-            f"Anchor Space of {robot.name!r}, and no whole cell between them; take a smaller --spacing or move the "
-            "robot's workspace."
+            f"The demonstrator reaches {len(reached)} of {tried} points {spacing:g} m apart around "
+            f"the middle of the Anchor Space of {robot.name!r}, and no whole cell between them; "
+            "take a smaller --spacing or move the robot's workspace."
         )
     edges = np.where(wide, spacing, 0.0)
     return Workspace(robot.fingerprint, middle, edges, cells.astype(np.int16))
 
 
 def draw_workspace(workspace: Workspace, robot: Robot, path: Path) -> None:
-    """A picture of a map: its cells seen along each axis, darker where more lie behind each other."""
+    """Draw the cells of a map seen along each axis, darker where more lie behind each other."""
     from matplotlib.patches import Rectangle
 
     from cdcsr.plots import drawn
@@ -114,5 +115,6 @@ def draw_workspace(workspace: Workspace, robot: Robot, path: Path) -> None:
             figure.colorbar(image, ax=ax, label=f"cells along {'xyz'[along]}", shrink=0.8)
         cells = f"{len(workspace.cells)} cells reached"
         figure.suptitle(
-            f"Workspace of {robot.name}: {cells}; the straight arm in black, the Anchor Space in red"
+            f"Workspace of {robot.name}: {cells}; "
+            "the straight arm in black, the Anchor Space in red"
         )

@@ -1,4 +1,10 @@
-"""A trained policy as files, and as a Controller. Nothing is unpickled: weights are safetensors, the rest is JSON."""
+"""A trained policy, as a controller and as files.
+
+A policy is a folder with two files. `policy.safetensors` holds the weights. `policy.json`, the card,
+holds all else that the policy needs to act: the robot's description, the network's size, the
+targets of the demonstrations and how it was trained. Nothing is ever unpickled. The card's `format`
+is 1 for a network without mirror symmetry and 2 for one with it.
+"""
 
 from __future__ import annotations
 
@@ -16,68 +22,75 @@ from numpy.typing import NDArray
 from safetensors import SafetensorError
 from safetensors.torch import load_file, save
 
-from cdcsr.envs.gym_env import TaskVectorEnv
 from cdcsr.errors import CdcsrError, unknown_choice
 from cdcsr.files import write_bytes, write_json
 from cdcsr.robot.description import Robot, parse_robot
-from controllers.controller import Controller
+from cdcsr.simulation.contract import State
+from cdcsr.tasks.observation import observe
+from controllers.controller import Conditions, Controller, Target
 from training.networks.actor import Activation, Actor
 
 Array = NDArray[np.float64]
 
 _WEIGHTS, _CARD = "policy.safetensors", "policy.json"
 _FORMATS = {False: 1, True: 2}
-"""File format: 1 without mirror symmetry, 2 with it. Older versions refuse 2."""
+"""The file format, by whether the network has mirror symmetry. Older versions refuse 2."""
 
 
 class Policy(Controller):
-    """A learned actor with all it needs to act: robot, scaling, and how it came to be.
+    """A learned actor with all that it needs to act.
 
     Attributes:
-        name: what it is called in tables.
         robot: the description it was trained with.
-        centers: the demonstrations' targets, shape (n, 3): what Floating and Spatter surround.
         card: how it was trained, as plain data.
     """
 
     def __init__(self, actor: Actor, robot: Robot, centers: Array, card: dict[str, Any]) -> None:
-        self.actor, self.robot, self.centers, self.card = actor, robot, centers, card
-        self.name = str(card["name"])
-        self._checked = robot
+        self.actor, self.robot, self.card = actor, robot, card
+        self.name, self.task = str(card["name"]), str(card.get("task", "reach"))
+        self.space, self.engine = str(card["space"]), str(card["backend"])
+        self.frame_skip = int(card["frame_skip"])
+        self._centers, self._checked = centers, robot
 
     @property
-    def frame_skip(self) -> int:
-        """Simulation steps each action is held for."""
-        return int(self.card["frame_skip"])
-
-    @property
-    def task(self) -> str:
-        """The task it was trained for."""
-        return str(self.card.get("task", "reach"))
+    def centers(self) -> Array:
+        return self._centers
 
     @property
     def digest(self) -> str:
-        """Of the weights: of policies of one run, equal for those that act alike to the bit."""
+        """16 hexadecimal digits of the weights: equal only for policies that act bit for bit alike,
+        among the policies of one run."""
         return hashlib.sha256(save(self._weights())).hexdigest()[:16]
 
     def _weights(self) -> dict[str, torch.Tensor]:
         return {name: tensor.contiguous() for name, tensor in self.actor.state_dict().items()}
 
-    def act(self, env: TaskVectorEnv, observation: Array, active: NDArray[np.bool_]) -> Array:
-        if env.robot is not self._checked:
-            self._check(env.robot)
-        with torch.no_grad():
-            return (
-                self.actor.command(torch.as_tensor(observation, dtype=torch.float32))
-                .numpy()
-                .astype(np.float64)
-            )
-
-    def on(self, plant: Robot) -> Policy:
-        """This policy, made to act on one robot that it is not for. It goes on refusing all others.
+    def begin(self, conditions: Conditions) -> None:
+        """Check that the robot is the policy's own.
 
         Raises:
-            CdcsrError: that robot has other links or cables.
+            CdcsrError: it is another robot.
+        """
+        robot = conditions.robot
+        if robot is self._checked:
+            return
+        if robot.fingerprint != self.robot.fingerprint:
+            raise CdcsrError(
+                f"The policy {self.name!r} is for robot {self.robot.name!r} "
+                f"({self.robot.fingerprint}), not for {robot.name!r} ({robot.fingerprint})."
+            )
+        self._checked = robot
+
+    def act(self, state: State, target: Target, time: Array) -> Array:
+        observation = torch.as_tensor(observe(state, target.position), dtype=torch.float32)
+        with torch.no_grad():
+            return self.actor.command(observation).numpy().astype(np.float64)
+
+    def on(self, plant: Robot) -> Policy:
+        """Return a copy of this policy that also acts on one plant with other numbers.
+
+        Raises:
+            CdcsrError: the plant has other links or cables.
         """
         ours, theirs = (
             [(s.links, s.cables.angles_deg) for s in robot.segments]
@@ -85,22 +98,15 @@ class Policy(Controller):
         )
         if ours != theirs:
             raise CdcsrError(
-                f"The policy {self.name!r} cannot act on {plant.name!r}: its links or cables are others."
+                f"The policy {self.name!r} cannot act on {plant.name!r}: it is for other links or "
+                "cables."
             )
         twin = copy(self)
         twin._checked = plant
         return twin
 
-    def _check(self, robot: Robot) -> None:
-        if robot.fingerprint != self.robot.fingerprint:
-            raise CdcsrError(
-                f"The policy {self.name!r} is for robot {self.robot.name!r} ({self.robot.fingerprint}), not for "
-                f"{robot.name!r} ({robot.fingerprint})."
-            )
-        self._checked = robot
-
     def save(self, folder: Path) -> None:
-        """Write the policy into a folder, made if missing; a policy that is there is replaced."""
+        """Write the policy into a folder; make the folder, or overwrite a policy in it."""
         actor = self.actor
         card = {
             **self.card,
@@ -123,7 +129,7 @@ class Policy(Controller):
 
 
 def versions() -> dict[str, str]:
-    """Those of the packages that decide what a policy does."""
+    """Return the versions of the packages on which a policy's actions depend."""
     return {name: version(name) for name in ("cdcsr", "torch", "mujoco", "pybullet", "numpy")}
 
 
@@ -131,7 +137,7 @@ def load_policy(folder: Path) -> Policy:
     """Read a policy from its folder, or from the folder of a run.
 
     Raises:
-        CdcsrError: there is no policy, or its files are damaged or do not belong together.
+        CdcsrError: there is no policy, or its files are damaged or do not fit each other.
     """
     if not (folder / _CARD).is_file() or not (folder / _WEIGHTS).is_file():
         raise CdcsrError(
@@ -163,9 +169,7 @@ def load_policy(folder: Path) -> Policy:
             raise ValueError("centers must be the targets of its demonstrations")
         if network["activation"] not in get_args(Activation):
             raise ValueError(f"activation {network['activation']!r}")
-        _ = str(card["space"]), str(card["backend"])
         policy = Policy(actor, robot, centers, card)
-        _ = policy.frame_skip
     except (
         OSError,
         ValueError,
@@ -177,14 +181,15 @@ def load_policy(folder: Path) -> Policy:
     ) as error:
         reason = str(error).split("\n")[0]
         raise CdcsrError(
-            f"The policy in {folder} is damaged ({type(error).__name__}: {reason}); copy or train it anew."
+            f"The policy in {folder} is damaged ({type(error).__name__}: {reason}); copy it or "
+            "train it again."
         ) from None
     actor.requires_grad_(False)
     return policy
 
 
 def find_policy(name: str) -> Policy:
-    """A policy by its folder, by the folder of its run, or by the name of a shipped one.
+    """Find a policy by its folder, by the folder of its run, or by the name of a shipped one.
 
     Raises:
         CdcsrError: there is none, or it is damaged.

@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 from cdcsr.envs.gym_env import TaskVectorEnv
 from cdcsr.simulation.engines import backend_names
 from controllers.jacobian import JacobianController
+from tests.support.controllers import Stepper
 
 Array = NDArray[np.float64]
 
@@ -18,11 +19,10 @@ def test_predicts_the_hinges_rates_of_the_next_step(backend: str) -> None:
     """With tensions as measured in a step, the prediction from before it meets the rates after it."""
     env = TaskVectorEnv(1, "paper", backend, "anchor", task="capture", autoreset_mode="Disabled")
     controller = JacobianController(env.robot)
-    observation, _ = env.reset(seed=1)
-    active, errors, rates = np.ones(1, dtype=bool), [], []
+    stepper, errors, rates = Stepper(controller, env, seed=1), [], []
     for _ in range(60):
         offset, slope = controller._predict_hinges(env.simulation.dynamics(), env.robot.time_step)
-        observation, *_ = env.step(controller.act(env, observation, active))
+        stepper.step()
         state = env.simulation.state()
         errors.append(
             np.linalg.norm(offset[0] + slope[0] @ state.cable_tension[0] - state.joint_rates[0])
@@ -42,16 +42,11 @@ def test_the_cost_of_tensions_is_that_of_missing_the_wish_and_of_moving_hinges(
         2, "paper", "mujoco", "anchor", task=task, frame_skip=frame_skip, autoreset_mode="Disabled"
     )
     controller = JacobianController(env.robot, gain=10.0, speed=0.8, calm=0.03, calm_within=0.2)
-    observation, _ = env.reset(seed=2)
-    active, rng = np.ones(2, dtype=bool), np.random.default_rng(0)
-    for _ in range(8):
-        observation, *_ = env.step(controller.act(env, observation, active))
+    stepper, rng = Stepper(controller, env, seed=2), np.random.default_rng(0)
+    stepper.step(8)
     tip = env.simulation.state().tip_position
-    env.targets[0] = tip[0] + [
-        0.02,
-        0.03,
-        0.06,
-    ]  # 7 cm: 0.7 m/s, and the other one is too far for its gain
+    # The first target is 7 cm away: 0.7 m/s. The other one is too far for its gain.
+    env.targets[0] = tip[0] + [0.02, 0.03, 0.06]
     env.target_velocity[:] = [[0.01, 0.02, 0.03], [0.0, -0.1, 0.2]]
     asked: list[tuple[Array, Array]] = []
     tensions = controller._tensions
@@ -61,7 +56,7 @@ def test_the_cost_of_tensions_is_that_of_missing_the_wish_and_of_moving_hinges(
         return tensions(slope, wish)
 
     monkeypatch.setattr(controller, "_tensions", noted)
-    controller.act(env, observation, active)
+    stepper.command()
     dynamics, period = env.simulation.dynamics(), 0.0025 * frame_skip
     offset, slope = controller._predict(dynamics, period)
     rates, by_tension = controller._predict_hinges(dynamics, period)
@@ -87,17 +82,15 @@ def test_the_cost_of_tensions_is_that_of_missing_the_wish_and_of_moving_hinges(
 def test_each_copy_is_given_its_own_command_whoever_else_acts() -> None:
     env = TaskVectorEnv(4, "paper", "mujoco", "anchor", autoreset_mode="Disabled")
     controller = JacobianController(env.robot)
-    observation, _ = env.reset(seed=5)
-    everyone = np.ones(4, dtype=bool)
-    for _ in range(10):
-        observation, *_ = env.step(controller.act(env, observation, everyone))
-    whole = controller.act(env, observation, everyone)
+    stepper = Stepper(controller, env, seed=5)
+    stepper.step(10)
+    whole = stepper.command()
     assert np.ptp(whole, axis=0).max() > 0.1
     some = np.array([False, True, False, True])
-    part = controller.act(env, observation, some)
+    part = stepper.command(some)
     np.testing.assert_allclose(part[some], whole[some], rtol=0, atol=1e-9)
     np.testing.assert_array_equal(part[~some], 0)
-    np.testing.assert_array_equal(controller.act(env, observation, ~everyone), 0)
+    np.testing.assert_array_equal(stepper.command(np.zeros(4, dtype=bool)), 0)
     env.close()
 
 
@@ -106,9 +99,7 @@ def test_the_prediction_is_an_implicit_step_of_springs_and_dampers(period: float
     """M (v+ - v) = h (forces at the hinges' next angles and rates - L^T t), solved for v+ here."""
     env = TaskVectorEnv(1, "paper", "mujoco", "anchor", task="capture", autoreset_mode="Disabled")
     controller = JacobianController(env.robot)
-    observation, _ = env.reset(seed=1)
-    for _ in range(40):
-        observation, *_ = env.step(controller.act(env, observation, np.ones(1, dtype=bool)))
+    Stepper(controller, env, seed=1).step(40)
     d, cables = env.simulation.dynamics(), env.robot.num_cables
     springs = [(joint.stiffness, joint.damping) for _, joint in env.robot.links for _ in range(2)]
     env.close()

@@ -9,8 +9,9 @@ from scipy.optimize import minimize
 from cdcsr.envs.gym_env import TaskVectorEnv
 from cdcsr.robot.description import load_robot
 from cdcsr.simulation.engines import backend_names
-from controllers.demonstrations import rollout
 from controllers.jacobian import JacobianController
+from controllers.rollout import rollout
+from tests.support.controllers import Stepper
 
 
 @pytest.mark.parametrize("backend", backend_names())
@@ -38,12 +39,11 @@ def test_predicts_the_tip_velocity_of_the_next_step(backend: str) -> None:
     """With tensions as measured in a step, the prediction from before it meets the velocity after it."""
     env = TaskVectorEnv(1, "paper", backend, "anchor", autoreset_mode="Disabled")
     controller = JacobianController(env.robot)
-    observation, _ = env.reset(seed=1)
-    active = np.ones(1, dtype=bool)
+    stepper = Stepper(controller, env, seed=1)
     errors, speeds = [], []
     for _ in range(60):
         offset, slope = controller._predict(env.simulation.dynamics(), env.robot.time_step)
-        observation, *_ = env.step(controller.act(env, observation, active))
+        stepper.step()
         state = env.simulation.state()
         predicted = offset[0] + slope[0] @ state.cable_tension[0]
         errors.append(np.linalg.norm(predicted - state.tip_velocity[0]))

@@ -2,26 +2,41 @@
 
 from __future__ import annotations
 
+from types import SimpleNamespace
 from typing import Any, cast
 
 import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from cdcsr.envs.disturbances import Disturbances
 from cdcsr.envs.gym_env import TaskVectorEnv
+from cdcsr.simulation.contract import State
+from cdcsr.tasks.observation import BASE_POSITION, TARGET, observe
 from cdcsr.tasks.spaces import make_space
-from controllers.controller import Controller
-from controllers.demonstrations import Rollout, record, rollout
+from controllers.controller import Conditions, Controller, Target
+from controllers.demonstrations import record
 from controllers.jacobian import JacobianController
+from controllers.rollout import Rollout, rollout
+from tests.support.controllers import Still
 
 Array = NDArray[np.float64]
 
 
 class Idle(Controller):
     name = "idle"
+    privileged = True
 
-    def act(self, env: TaskVectorEnv, observation: Array, active: NDArray[np.bool_]) -> Array:
-        return np.zeros((env.num_envs, 1))
+    def __init__(self) -> None:
+        self.conditions: list[Conditions] = []
+        self.times: list[list[float]] = []
+
+    def begin(self, conditions: Conditions) -> None:
+        self.conditions.append(conditions)
+
+    def act(self, state: State, target: Target, time: Array) -> Array:
+        self.times.append(time.tolist())
+        return np.zeros((len(time), 1))
 
 
 class Scripted:
@@ -35,7 +50,10 @@ class Scripted:
         last: list[int],
     ) -> None:
         self.num_envs = len(distance)
-        self.targets = np.zeros((self.num_envs, 3))
+        self.targets = self.target_velocity = np.zeros((self.num_envs, 3))
+        self.robot, self.frame_skip, self.backend = SimpleNamespace(time_step=0.25), 2, "none"
+        self.task = SimpleNamespace(kind="reach")
+        self.simulation = SimpleNamespace(state=lambda: None, dynamics=None)
         self._distance = np.array(distance)
         self._success, self._terminated = (
             np.array([[x == "1" for x in row] for row in y]) for y in (success, terminated)
@@ -58,7 +76,12 @@ class Scripted:
 
 
 @pytest.fixture
-def result() -> Rollout:
+def idle() -> Idle:
+    return Idle()
+
+
+@pytest.fixture
+def result(idle: Idle) -> Rollout:
     """Five steps. The first copy succeeds at the second; the next runs out of time at the third, and would have
     succeeded at the fourth; the third is on its target for a moment and not in the end; the last goes on throughout."""
     env = Scripted(
@@ -72,7 +95,7 @@ def result() -> Rollout:
         ["01000", "00011", "00000", "00001"],
         [9, 3, 4, 9],
     )
-    return rollout(Idle(), cast(TaskVectorEnv, env), np.zeros((4, 1)))
+    return rollout(idle, cast(TaskVectorEnv, env), np.zeros((4, 1)))
 
 
 def test_success_is_as_an_episode_ends(result: Rollout) -> None:
@@ -94,6 +117,70 @@ def test_an_episode_is_cut_to_its_length_and_its_target_is_where_it_was_at_first
     assert (len(first.actions), first.rewards.tolist()) == (2, [0, 1])
     assert (last.length, last.rewards.tolist()) == (5, [0, 0, 0, 0, 1])
     assert first.target.tolist() == last.target.tolist() == [0, 0, 0]
+
+
+@pytest.mark.usefixtures("result")
+def test_time_counts_from_the_start_and_is_nan_after_the_end(idle: Idle) -> None:
+    (conditions,) = idle.conditions
+    assert (conditions.period, conditions.stays) == (0.5, False)
+    expected = np.tile(0.5 * np.arange(5.0)[:, None], 4)
+    expected[2:, 0] = expected[3:, 1] = expected[4:, 2] = np.nan
+    np.testing.assert_array_equal(idle.times, expected)
+
+
+@pytest.mark.parametrize("privileged", [False, True])
+def test_only_a_privileged_controller_is_shown_the_true_state(privileged: bool) -> None:
+    seen: list[tuple[State, Target]] = []
+
+    class Watcher(Still):
+        def act(self, state: State, target: Target, time: Array) -> Array:
+            seen.append((state, target))
+            return super().act(state, target, time) - 1.0
+
+    env = TaskVectorEnv(
+        2,
+        "planar-single",
+        task="capture-drift",
+        frame_skip=50,
+        disturbances=Disturbances(base_noise=1.0, packet_loss=1.0),
+        autoreset_mode="Disabled",
+    )
+    watcher = Watcher()
+    watcher.privileged = privileged
+    observation, _ = env.reset(seed=0)
+    done = rollout(watcher, env, observation)
+    state, target = seen[-1]
+    velocity = env.target_velocity.copy()
+    env.close()
+    if privileged:
+        assert np.abs(state.base_position).max() < 0.1
+        assert np.abs(state.cable_tension).max() > 0
+        np.testing.assert_array_equal(target.velocity, velocity)
+        return
+    np.testing.assert_array_equal(state.base_position, observation[:, BASE_POSITION])
+    np.testing.assert_array_equal(target.position, done.observations[:, -1, TARGET])
+    for unknown in (state.cable_tension, state.joint_angles, state.joint_rates, target.velocity):
+        assert np.isnan(unknown).all()
+
+
+def test_eq_1_is_built_again_bit_for_bit_from_what_arrived() -> None:
+    """A policy sees the same numbers whether it is given the observation or the state in it."""
+    env = TaskVectorEnv(
+        8,
+        disturbances=Disturbances(0.1, 0.01, 0.3, 2),
+        autoreset_mode="Disabled",
+    )
+    observation, _ = env.reset(seed=0)
+    seen: list[Array] = []
+
+    class Watcher(Still):
+        def act(self, state: State, target: Target, time: Array) -> Array:
+            seen.append(observe(state, target.position))
+            return super().act(state, target, time) - 0.1
+
+    done = rollout(Watcher(), env, observation)
+    env.close()
+    np.testing.assert_array_equal(np.stack(seen, axis=1), done.observations[:, :-1])
 
 
 def test_each_batch_of_a_recording_has_targets_of_its_own() -> None:

@@ -10,11 +10,13 @@ from numpy.typing import NDArray
 
 from cdcsr.envs.disturbances import Disturbances
 from cdcsr.envs.gym_env import TaskVectorEnv
-from cdcsr.tasks.observation import DISTANCE, TIP_POSITION, observation_size
+from cdcsr.simulation.contract import State
+from cdcsr.tasks.observation import DISTANCE, TIP_POSITION
 from controllers import search
-from controllers.controller import Controller
-from controllers.demonstrations import Rollout, rollout
+from controllers.controller import Controller, Target
+from controllers.rollout import Rollout, rollout
 from controllers.search import HOLD, Nudged, Outcome, improve
+from tests.support.controllers import Stepper
 
 Array = NDArray[np.float64]
 
@@ -27,8 +29,8 @@ class Slack(Controller):
     def __init__(self, pull: float = 0.0) -> None:
         self.pull = pull
 
-    def act(self, env: TaskVectorEnv, observation: Array, active: NDArray[np.bool_]) -> Array:
-        commands = np.zeros((env.num_envs, env.robot.num_cables))
+    def act(self, state: State, target: Target, time: Array) -> Array:
+        commands = np.zeros_like(state.cable_travel)
         commands[:, 0] = commands[:, 4] = -self.pull
         return commands
 
@@ -45,10 +47,9 @@ def _envs(num: int, steps: int = 250, threshold: float = 0.03, noise: float = 0.
 
 def test_offsets_are_added_held_and_clipped_for_each_copy() -> None:
     env = _envs(2)
-    env.reset(seed=0)
     plans = np.zeros((2, 25, 8))
     plans[0, 0, 1], plans[1, 1, 2], plans[1, 1, 0] = -0.5, -9.0, 3.0
-    nudged = Nudged(Slack(1.0), plans)
+    stepper = Stepper(Nudged(Slack(1.0), plans), env, seed=0)
     for step in range(2 * HOLD):
         expected = np.zeros((2, 8))
         expected[:, 0] = expected[:, 4] = -1
@@ -56,9 +57,8 @@ def test_offsets_are_added_held_and_clipped_for_each_copy() -> None:
             expected[0, 1] = -0.5
         else:
             expected[1, 2], expected[1, 0] = -5.0, 0.0
-        commands = nudged.act(env, np.zeros((2, observation_size(env.robot))), np.ones(2, bool))
-        np.testing.assert_array_equal(commands, expected)
-        env.step(commands)
+        np.testing.assert_array_equal(stepper.command(), expected)
+        stepper.step()
     env.close()
 
 
@@ -98,9 +98,9 @@ def test_what_is_found_is_hardly_worse_and_is_not_sought_where_it_is_not_wanted(
     calls = []
 
     class Counted(Slack):
-        def act(self, env: TaskVectorEnv, observation: Array, active: NDArray[np.bool_]) -> Array:
+        def act(self, state: State, target: Target, time: Array) -> Array:
             calls.append(1)
-            return super().act(env, observation, active)
+            return super().act(state, target, time)
 
     assert improve(Counted(), env, target, 3, 0, lambda outcome: outcome.reached > 0) == (
         alone,
@@ -122,10 +122,10 @@ def test_nearest_is_of_the_plant_and_not_what_a_lossy_link_shows() -> None:
     targets, tips = env.targets.copy(), []
 
     class Watched(Slack):
-        def act(self, env: TaskVectorEnv, observation: Array, active: NDArray[np.bool_]) -> Array:
+        def act(self, state: State, target: Target, time: Array) -> Array:
             tips.append(env.simulation.state().tip_position.copy())
             self.pull = 5.0 if len(tips) <= 60 else 0.0
-            return super().act(env, observation, active)
+            return super().act(state, target, time)
 
     result = rollout(Watched(), env, observation)
     assert np.ptp(result.observations[..., DISTANCE], axis=1).max() == 0  # nothing arrives

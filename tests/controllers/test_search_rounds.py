@@ -12,20 +12,13 @@ from cdcsr.envs.disturbances import Disturbances
 from cdcsr.envs.gym_env import TaskVectorEnv
 from cdcsr.tasks.observation import BASE_POSITION, SLICES
 from controllers import search
-from controllers.controller import Controller
-from controllers.demonstrations import Rollout
+from controllers.rollout import Rollout
 from controllers.search import FOLLOWED, KEPT, LEAST_WIDTH, WIDTH, Nudged, Outcome, improve
+from tests.support.controllers import Still
 
 Array = NDArray[np.float64]
 NUM = 24
 TARGET = np.array([0.2, 0.1, 2.5])
-
-
-class Still(Controller):
-    name = "still"
-
-    def act(self, env: TaskVectorEnv, observation: Array, active: NDArray[np.bool_]) -> Array:
-        return np.zeros((env.num_envs, env.robot.num_cables))
 
 
 class Known:

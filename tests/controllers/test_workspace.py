@@ -13,8 +13,8 @@ from cdcsr.errors import CdcsrError
 from cdcsr.robot.description import load_robot
 from cdcsr.simulation.engines import backend_names
 from cdcsr.tasks.spaces import make_space
-from controllers.demonstrations import rollout
 from controllers.jacobian import JacobianController
+from controllers.rollout import rollout
 from training.commands.workspace import workspace
 
 

@@ -14,7 +14,7 @@ from cdcsr.errors import CdcsrError
 from cdcsr.robot.description import Robot
 from cdcsr.tasks.catalogue import make_task
 from controllers.controller import Controller
-from controllers.demonstrations import rollout
+from controllers.rollout import rollout
 from training.config.seeds import TEST_SEED
 from training.measure.plant_axes import SecondPlant
 from training.measure.statistics import wilson

@@ -1,8 +1,8 @@
-"""Following a target that moves (BATD3 paper, section V-F and Fig. 6), and what the base does meanwhile."""
+"""Measure how a controller follows a moving target (BATD3 paper, section V-F and Fig. 6)."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Mapping
 from typing import NamedTuple
 
 import numpy as np
@@ -11,11 +11,12 @@ from numpy.typing import NDArray
 from cdcsr.envs.gym_env import TaskVectorEnv
 from cdcsr.robot.description import Robot
 from controllers.controller import Controller
+from controllers.rollout import rollout
 from training.config.seeds import TEST_SEED
 
 MOTIONS = ("line", "circle", "random")
 KEEP_EVERY = 25
-"""Of these actions, one is kept."""
+"""One sample is kept of so many actions."""
 
 
 class Following(NamedTuple):
@@ -42,19 +43,27 @@ def follow(
     episodes: int,
     centers: NDArray[np.float64] | None = None,
     frame_skip: int = 1,
-) -> Iterator[Following]:
-    """Have a controller follow targets that start where the held-out ones lie.
+) -> list[Following]:
+    """Let a controller follow targets that start where the held-out targets are.
 
     Args:
-        controller: it sees where the target is, as in reaching, and not how it moves.
+        controller: the controller that acts.
         robot: the description.
         backend: the engine.
-        space: where targets start.
+        space: the operation space in which targets start.
         motion: one of :data:`MOTIONS`.
         episodes: how many, run as one batch.
         centers: the demonstrations' targets, shape (n, 3), for Floating and Spatter.
-        frame_skip: simulation steps each action is held for.
+        frame_skip: how many simulation steps each action is held for.
     """
+    samples: list[Following] = []
+
+    def watch(action: int, info: Mapping[str, NDArray[np.float64]]) -> None:
+        if action % KEEP_EVERY == 0:
+            names = ("distance", "base_position_error", "base_attitude_error")
+            for i, row in enumerate(np.stack([info[name] for name in names], axis=1).tolist()):
+                samples.append(Following(motion, i, action * frame_skip, *row))
+
     env = TaskVectorEnv(
         episodes,
         robot,
@@ -67,15 +76,7 @@ def follow(
     )
     try:
         observation, _ = env.reset(seed=TEST_SEED)
-        active = np.ones(episodes, dtype=np.bool_)
-        for action in range(1, env.max_actions + 1):
-            observation, *_, info = env.step(controller.act(env, observation, active))
-            if action % KEEP_EVERY == 0:
-                errors = (
-                    info[name]
-                    for name in ("distance", "base_position_error", "base_attitude_error")
-                )
-                for i, row in enumerate(np.stack(list(errors), axis=1).tolist()):
-                    yield Following(motion, i, action * frame_skip, *row)
+        rollout(controller, env, observation, watch)
+        return samples
     finally:
         env.close()

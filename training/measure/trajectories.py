@@ -1,18 +1,18 @@
-"""Commands of the scripted demonstrator, along which engines are compared and timed."""
+"""Record commands of the scripted demonstrator, to compare and time engines along them."""
 
 from __future__ import annotations
 
 from backends.parity.trajectories import DEMONSTRATOR, Commands
 from cdcsr.envs.gym_env import TaskVectorEnv
 from cdcsr.robot.description import Robot
-from controllers.demonstrations import rollout
 from controllers.jacobian import JacobianController
+from controllers.rollout import rollout
 
 
 def demonstrator_commands(robot: Robot, backend: str, episodes: int, seed: int) -> Commands:
-    """What the scripted demonstrator commands on its way to random targets in the Anchor Space.
+    """Record the demonstrator's commands on the way to random targets in the Anchor Space.
 
-    Whether it arrives does not matter here: an episode that fails is as good for comparing engines.
+    Failed episodes are included: they serve as well to compare engines.
     """
     env = TaskVectorEnv(episodes, robot, backend, autoreset_mode="Disabled")
     observation, _ = env.reset(seed=seed)

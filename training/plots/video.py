@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import tempfile
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -19,6 +19,7 @@ from cdcsr.files import write_bytes
 from cdcsr.robot.description import Robot
 from cdcsr.simulation.engines import engine_title
 from controllers.controller import Controller
+from controllers.rollout import rollout
 from training.plots.targets import MISSED_COLOR, REACHED_COLOR
 
 Array = NDArray[np.float64]
@@ -70,17 +71,15 @@ def record(
     try:
         observation, info = env.reset(options={"targets": targets})
         position, distance = [env.simulation.get_snapshot().position], [info["distance"]]
-        end, success, active = np.zeros(num, np.int64), np.zeros(num, bool), np.ones(num, bool)
-        while active.any():
-            observation, _, terminated, truncated, info = env.step(
-                controller.act(env, observation, active)
-            )
+
+        def watch(_: int, info: Mapping[str, Array]) -> None:
             position.append(env.simulation.get_snapshot().position)
             distance.append(info["distance"])
-            end += active
-            success |= active & terminated
-            active &= ~(terminated | truncated)
-        return Recording(backend, np.array(position), np.array(distance), end, success)
+
+        done = rollout(controller, env, observation, watch)
+        return Recording(
+            backend, np.array(position), np.array(distance), done.length, done.terminated
+        )
     finally:
         env.close()
 

@@ -25,8 +25,8 @@ from cdcsr.tasks.spaces import demonstration_space, make_space, wider_targets
 from cdcsr.tasks.symmetry import images
 from cdcsr.tasks.task import Reward
 from controllers import demonstrations
-from controllers.demonstrations import Episode
 from controllers.jacobian import JacobianController
+from controllers.rollout import Episode, rollout
 from training.algorithms.bc import BehaviourCloning, Progress, imitate
 from training.algorithms.registry import ALGORITHMS
 from training.algorithms.td3 import TD3
@@ -204,9 +204,8 @@ class Run:
         if clone is not None and algorithm.uses_rollouts and rollouts > 0:
             env = self._env(rollouts, self.config.space, autoreset_mode="Disabled")
             observation, _ = env.reset(seed=self.config.seed)
-            episodes += demonstrations.rollout(
-                self._policy(clone.actor, "bc"), env, observation
-            ).successes()
+            policy = self._policy(clone.actor, "bc")
+            episodes += rollout(policy, env, observation).successes()
             env.close()
         actor = algorithm.actor
         replay.prefill(

@@ -9,15 +9,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
-from numpy.typing import NDArray
 
 from cdcsr import cli
 from cdcsr.envs.disturbances import Disturbances
-from cdcsr.envs.gym_env import TaskVectorEnv
 from cdcsr.errors import CdcsrError
 from cdcsr.robot.description import load_robot
-from controllers.controller import Controller
 from controllers.jacobian import JacobianController
+from tests.support.controllers import Still
 from training.commands.evaluate import evaluate as evaluate_command
 from training.commands.transfer import transfer as transfer_command
 from training.config.seeds import TEST_SEED, VALIDATION_SEED
@@ -32,17 +30,6 @@ from training.measure.transfer_matrix import (
 from training.networks.actor import Actor
 from training.plots import targets as figures
 from training.policy import Policy, find_policy
-
-Array = NDArray[np.float64]
-
-
-class Still(Controller):
-    """Pulls no cable."""
-
-    name = "still"
-
-    def act(self, env: TaskVectorEnv, observation: Array, active: NDArray[np.bool_]) -> Array:
-        return np.zeros((env.num_envs, env.robot.num_cables))
 
 
 @pytest.mark.parametrize(

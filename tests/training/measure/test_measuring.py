@@ -13,8 +13,8 @@ from cdcsr.envs.disturbances import Disturbances
 from cdcsr.envs.gym_env import TaskVectorEnv
 from cdcsr.robot.description import Robot, load_robot
 from cdcsr.simulation.contract import Simulation
-from controllers.controller import Controller
 from controllers.jacobian import JacobianController
+from tests.support.controllers import Still
 from tests.support.tiny import untrained_policy
 from training.measure import evaluation
 from training.measure import plant_sweep as sweeps
@@ -32,15 +32,6 @@ from training.measure.plant_sweep import (
 from training.policy import Policy
 
 Array = NDArray[np.float64]
-
-
-class Still(Controller):
-    """Pulls no cable."""
-
-    name = "still"
-
-    def act(self, env: TaskVectorEnv, observation: Array, active: NDArray[np.bool_]) -> Array:
-        return np.zeros((env.num_envs, env.robot.num_cables))
 
 
 @pytest.fixture(scope="module")

@@ -13,13 +13,12 @@ import pytest
 from numpy.typing import NDArray
 
 from backends.pybullet.simulation import PybulletSimulation
-from cdcsr.envs.gym_env import TaskVectorEnv
 from cdcsr.errors import CdcsrError, Diverged
 from cdcsr.robot.description import Robot, load_robot
-from cdcsr.simulation.contract import Simulation
+from cdcsr.simulation.contract import Simulation, State
 from cdcsr.simulation.engines import backend_names, make_simulation
 from cdcsr.simulation.plant import Parameters
-from controllers.controller import Controller
+from controllers.controller import Conditions, Controller, Target
 from training.commands.sweep import sweep as command
 from training.config.seeds import VALIDATION_SEED
 from training.measure import plant_sweep as sweeps
@@ -85,15 +84,14 @@ class Clock(Controller):
         self.times: list[float] = []
         self.time_step = 0.0
 
-    def act(
-        self,
-        env: TaskVectorEnv,
-        observation: NDArray[Any],
-        active: NDArray[np.bool_],
-    ) -> NDArray[Any]:
-        self.times.append(float(env.simulation.state().time[0]))
-        self.time_step = env.robot.time_step
-        return np.zeros((env.num_envs, env.robot.num_cables))
+    privileged = True
+
+    def begin(self, conditions: Conditions) -> None:
+        self.time_step = conditions.robot.time_step
+
+    def act(self, state: State, target: Target, time: NDArray[Any]) -> NDArray[Any]:
+        self.times.append(float(state.time[0]))
+        return np.zeros_like(state.cable_travel)
 
 
 def test_the_time_step_axis_keeps_the_control_period(paper: Robot) -> None:
@@ -237,7 +235,7 @@ def test_a_policy_acts_on_a_changed_robot_only_if_told_to(policy: Policy, paper:
         evaluate(policy, softer.robot, *arguments)  # told once is not told for ever
     with pytest.raises(CdcsrError, match="is for robot 'paper'"):
         evaluate(policy.on(softer.robot), softest.robot, *arguments)
-    with pytest.raises(CdcsrError, match="its links or cables are others"):
+    with pytest.raises(CdcsrError, match="it is for other links or cables"):
         policy.on(load_robot("planar-single"))
 
 

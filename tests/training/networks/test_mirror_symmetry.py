@@ -18,7 +18,7 @@ from cdcsr.simulation.engines import backend_names
 from cdcsr.tasks.catalogue import make_task
 from cdcsr.tasks.observation import TARGET, observation_size
 from cdcsr.tasks.symmetry import images
-from controllers.demonstrations import rollout
+from controllers.rollout import rollout
 from training.algorithms.bc import BehaviourCloning
 from training.config.run_config import Learner, Train, learner_for
 from training.experience.collector import Collector, FinishedEpisode

@@ -11,11 +11,11 @@ import pytest
 from numpy.typing import NDArray
 
 from cdcsr.envs.disturbances import Disturbances
-from cdcsr.envs.gym_env import TaskVectorEnv
 from cdcsr.robot.description import Robot, load_robot
+from cdcsr.simulation.contract import State
 from cdcsr.tasks.spaces import make_space
 from cdcsr.tasks.target_motion import make_motion
-from controllers.controller import Controller
+from controllers.controller import Controller, Target
 from tests.support.tiny import CENTERS, untrained_policy
 from training.config.seeds import TEST_SEED
 from training.measure import evaluation
@@ -199,12 +199,11 @@ class Pulling(Controller):
         self.position: list[Array] = []
         self.quaternion: list[Array] = []
 
-    def act(self, env: TaskVectorEnv, observation: Array, active: NDArray[np.bool_]) -> Array:
-        state = env.simulation.state()
+    def act(self, state: State, target: Target, time: Array) -> Array:
         self.tip.append(state.tip_position.copy())
         self.position.append(state.base_position.copy())
         self.quaternion.append(state.base_quaternion.copy())
-        commands = np.zeros((env.num_envs, env.robot.num_cables))
+        commands = np.zeros_like(state.cable_travel)
         commands[:, 0] = -1.0
         return commands
 
