@@ -344,7 +344,7 @@ def test_the_table_tells_the_engines_gap_from_the_parameters() -> None:
         for backend, counts in (("mujoco", (10, 8, 4)), ("pybullet", (10, 6, 3)))
         for level, successes in zip((0.0, 1.0, 2.0), counts, strict=True)
     ]
-    row = format_sweep(points).splitlines()[2]
+    row = " ".join(format_sweep(points).splitlines()[2].split())
     assert row == "| command_delay | steps | up | 1.75 | 1.33 | 2 | +0.60 / +0.70 | +0.10 (1 / 0) |"
 
 
