@@ -27,7 +27,7 @@ third-own = third_engine:measure
 """
 
 
-@pytest.fixture
+@pytest.fixture(scope="session")
 def paper() -> Robot:
     return load_robot("paper")
 

@@ -1,15 +1,14 @@
-"""Every engine and every shipped robot, for the tests of what holds in all of them."""
+"""Fixtures of every engine and every shipped robot."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator
-from typing import Any
 
 import pytest
 
 from cdcsr.robot.description import Robot, load_robot, shipped_robots
 from cdcsr.simulation.contract import Simulation
-from cdcsr.simulation.engines import backend_names, load_backend
+from cdcsr.simulation.engines import backend_names, make_simulation
 from tests.support.physics import Make
 
 
@@ -25,11 +24,11 @@ def robot(request: pytest.FixtureRequest) -> Robot:
 
 @pytest.fixture
 def make() -> Iterator[Make]:
-    """Makes simulations in the engine of a name, and closes them."""
+    """Make simulations, and close them at the end of the test."""
     made: list[Simulation] = []
 
-    def simulation(engine: str, *arguments: Any, **options: Any) -> Simulation:
-        made.append(load_backend(engine)(*arguments, **options))
+    def simulation(engine: str, robot: Robot, num: int = 1) -> Simulation:
+        made.append(make_simulation(robot, engine, num))
         return made[-1]
 
     yield simulation

@@ -1,30 +1,34 @@
-"""What the tests of physics share: altered robots, states and commands, and the quantities mechanics conserves.
+"""Helpers for tests of physics: changed robots, states, commands, and conserved quantities.
 
-Nothing here knows an engine; everything is measured through the contract.
+They know no engine and measure everything through the contract.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
-from typing import Any
+from dataclasses import fields
+from typing import Protocol
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
 from cdcsr.robot.description import Robot
 from cdcsr.robot.routing import cable_lengths, routing
-from cdcsr.simulation.contract import Array, Simulation, Snapshot
+from cdcsr.simulation.contract import Array, Dynamics, Simulation, Snapshot, State
 from cdcsr.simulation.engines import make_simulation
 from cdcsr.simulation.plant import Parameters
 
-Make = Callable[..., Simulation]
-"""Makes a simulation in the engine of a name: engine, robot, num."""
+
+class Make(Protocol):
+    """Makes a simulation in the engine of a name; the fixture `make` closes it."""
+
+    def __call__(self, engine: str, robot: Robot, num: int = 1) -> Simulation: ...
 
 
 @contextmanager
 def running(robot: Robot, engine: str, num: int = 1) -> Iterator[Simulation]:
-    """A simulation that is closed at the end."""
+    """Yield a simulation that is closed at the end."""
     simulation = make_simulation(robot, engine, num)
     try:
         yield simulation
@@ -32,13 +36,14 @@ def running(robot: Robot, engine: str, num: int = 1) -> Iterator[Simulation]:
         simulation.close()
 
 
-def changed(robot: Robot, **keys: Any) -> Robot:
-    """The robot with some top-level keys replaced, checked as if read from a file."""
+def changed(robot: Robot, **keys: object) -> Robot:
+    """Return the robot with some top-level keys replaced, validated as if read from a file."""
     return Robot.model_validate(robot.model_dump() | keys)
 
 
-def with_parts(robot: Robot, **parts: dict[str, Any]) -> Robot:
-    """The robot with some numbers of a part (``link``, ``joint``, ``servo``, ...) replaced in every segment."""
+def with_parts(robot: Robot, **parts: Mapping[str, object]) -> Robot:
+    """Return the robot with numbers of a part (``link``, ``joint``, ...) replaced in all
+    segments."""
     segments = [
         segment | {part: segment[part] | numbers for part, numbers in parts.items()}
         for segment in robot.model_dump()["segments"]
@@ -47,12 +52,13 @@ def with_parts(robot: Robot, **parts: dict[str, Any]) -> Robot:
 
 
 def finer(robot: Robot, divide: int) -> Robot:
-    """The same robot in smaller steps; what takes back an excess stays as fast as it was."""
+    """Return the robot with its time step divided, and the same recovery time."""
     return changed(robot, time_step=robot.time_step / divide)
 
 
 def commands_of(robot: Robot, steps: int, num: int = 1, seed: int = 0, hold: int = 20) -> Array:
-    """Random commands, shape (steps, num, C), each held for some steps as only then do they move the arm."""
+    """Return random commands, shape (steps, num, C), each held for some steps, so that the arm
+    moves."""
     eta = np.array([servo.eta for servo in robot.servos])
     draws = (
         np.random.default_rng(seed).uniform(-1, 0, (-(-steps // hold), num, robot.num_cables)) * eta
@@ -61,15 +67,18 @@ def commands_of(robot: Robot, steps: int, num: int = 1, seed: int = 0, hold: int
 
 
 def at(robot: Robot, position: Array, velocity: Array) -> Snapshot:
-    """A state as a snapshot that every engine takes."""
+    """Return a state as a snapshot that every engine takes."""
     num = len(position)
     return Snapshot(
         "by hand", robot.fingerprint, np.zeros(num), position, velocity, np.zeros((num, 0))
     )
 
 
-def described_bodies(robot: Robot) -> Iterator[tuple[str, float, tuple[float, float, float], Any]]:
-    """Name, mass, inertia, and centre of mass of the straight robot in the world, of every body."""
+Triple = tuple[float, float, float]
+
+
+def described_bodies(robot: Robot) -> Iterator[tuple[str, float, Triple, Triple]]:
+    """Yield name, mass, inertia, and centre of mass in the straight robot, of every body."""
     yield "base", robot.base.mass, robot.base.inertia, (0, 0, 0)
     cable, height = 0, robot.base.size[2] / 2
     for segment in robot.segments:
@@ -94,7 +103,8 @@ def described_bodies(robot: Robot) -> Iterator[tuple[str, float, tuple[float, fl
 
 
 def straight(robot: Robot, num: int = 1, travel: float = 0.0) -> Snapshot:
-    """At rest and straight, all sliders at the same place (positive: all cables slack)."""
+    """Return robots at rest and straight, all sliders at one travel; positive: all cables are
+    slack."""
     position = np.zeros((num, 7 + robot.num_cables + robot.num_hinges))
     position[:, 3] = 1
     position[:, 7 : 7 + robot.num_cables] = travel
@@ -102,7 +112,8 @@ def straight(robot: Robot, num: int = 1, travel: float = 0.0) -> Snapshot:
 
 
 def moving(robot: Robot, num: int, bend: float = 0.3, seed: int = 0) -> Snapshot:
-    """Turned, bent robots with every coordinate in motion; some cables are slack, some taut, some too long."""
+    """Return turned, bent robots with every coordinate in motion; cables are slack, taut or too
+    long."""
     rng, cables, hinges = np.random.default_rng(seed), robot.num_cables, robot.num_hinges
     turn = Rotation.random(num, rng=rng).as_quat(scalar_first=True)
     place = [rng.uniform(-1, 1, (num, 3)), turn, rng.uniform(-0.05, 0.05, (num, cables))]
@@ -111,23 +122,26 @@ def moving(robot: Robot, num: int, bend: float = 0.3, seed: int = 0) -> Snapshot
 
 
 def slack(robot: Robot, simulation: Simulation) -> Array:
-    """How much shorter than at rest every cable is, shape (num, C), in [m]; negative is too long."""
+    """Return how much shorter than at rest each cable is, shape (num, C), in [m]; negative: too
+    long."""
     state, route = simulation.state(), routing(robot)
     return route.rest_length - cable_lengths(route, state.cable_travel, state.joint_angles)
 
 
 def momentum(simulation: Simulation) -> tuple[Array, Array, Array]:
-    """Linear momentum [kg m/s], angular momentum about the centre of mass [kg m²/s], and that centre [m]; (num, 3)."""
+    """Return the linear momentum in [kg m/s], the angular momentum about the centre of mass in
+    [kg m²/s], and that centre in [m], each of shape (num, 3)."""
     equation = simulation.dynamics()
     mass, velocity = equation.mass_matrix, equation.velocity[..., None]
     linear, about_base = (mass[:, :3] @ velocity)[..., 0], (mass[:, 3:6] @ velocity)[..., 0]
-    # Angular momentum of a unit translation is (first moment) x (direction).
+    # The angular momentum of a unit translation is (first moment) x (direction).
     center = np.stack([mass[:, 5, 1], mass[:, 3, 2], mass[:, 4, 0]], axis=1) / mass[:, :1, 0]
     return linear, about_base - np.cross(center, linear), simulation.state().base_position + center
 
 
 def energy(robot: Robot, simulation: Simulation, command: Array) -> Array:
-    """Kinetic energy, hinge springs, and servos as springs from slider to set-point, shape (num,), in [J]."""
+    """Return the energy of motion, hinge springs, and servos as springs to their set-points, shape
+    (num,), in [J]."""
     equation, state = simulation.dynamics(), simulation.state()
     kinetic = 0.5 * np.einsum(
         "ni,nij,nj->n", equation.velocity, equation.mass_matrix, equation.velocity
@@ -139,7 +153,7 @@ def energy(robot: Robot, simulation: Simulation, command: Array) -> Array:
 
 
 def random_parameters(robot: Robot, num: int, seed: int = 0) -> Parameters:
-    """Every part of every copy of its own."""
+    """Return parameters that differ for every part of every copy."""
     random = np.random.default_rng(seed)
 
     def factors(parts: int) -> Array:
@@ -159,14 +173,14 @@ def random_parameters(robot: Robot, num: int, seed: int = 0) -> Parameters:
 
 
 def assert_same(
-    found: Snapshot, expected: Snapshot, copies: Any = slice(None), atol: float = 0.0
+    found: State | Dynamics | Snapshot,
+    expected: State | Dynamics | Snapshot,
+    copies: slice | list[int] = slice(None),
+    rtol: float = 0.0,
+    atol: float = 0.0,
 ) -> None:
-    """Time, positions and velocities of some copies are the same."""
-    for name in ("time", "position", "velocity"):
-        np.testing.assert_allclose(
-            getattr(found, name)[copies],
-            getattr(expected, name)[copies],
-            rtol=0,
-            atol=atol,
-            err_msg=name,
-        )
+    """Compare all arrays of some copies; of snapshots only time, position and velocity."""
+    common = ("time", "position", "velocity")
+    for name in common if isinstance(found, Snapshot) else [field.name for field in fields(found)]:
+        one, other = getattr(found, name)[copies], getattr(expected, name)[copies]
+        np.testing.assert_allclose(one, other, rtol=rtol, atol=atol, err_msg=name)

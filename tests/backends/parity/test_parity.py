@@ -37,11 +37,6 @@ def both(robot: Robot, episodes: int, seed: int) -> list[Commands]:
 
 
 @pytest.fixture(scope="module")
-def paper() -> Robot:
-    return load_robot("paper")
-
-
-@pytest.fixture(scope="module")
 def result(paper: Robot) -> Parity:
     """All levels for the paper's robot, with one episode of either kind."""
     return measure(paper, ENGINES, both(paper, 1, 0), seed=0)
