@@ -85,9 +85,9 @@ def run(function: Callable[..., Any], prog: str, argv: Sequence[str]) -> int:
     """Call a function with the arguments of a command line; an error becomes one line.
 
     Args:
-        function: its signature gives the options, and what it returns is ignored. Or a dataclass
-            with a method `run()` and a class method `defaults(argv)`, for options whose default
-            depends on another option (a preset).
+        function: its signature gives the options, and what it returns is ignored. Or a class that
+            is made with `prog` and `argv` and reads them itself, for options that depend on other
+            options; its method `run()` does the work.
         prog: what the user typed before `argv`, for usage lines.
         argv: the arguments.
 
@@ -100,16 +100,12 @@ def run(function: Callable[..., Any], prog: str, argv: Sequence[str]) -> int:
     import tyro
 
     try:
-        defaults = getattr(function, "defaults", None)
-        result = tyro.cli(
-            function if defaults else _checking_files(function),
-            prog=prog,
-            args=list(argv),
-            default=defaults(argv) if defaults else tyro.MISSING,
-        )
-        if defaults:
-            _refuse_unwritable(vars(result))
-            result.run()
+        if isinstance(function, type):
+            command = function(prog, argv)
+            _refuse_unwritable(vars(command))
+            command.run()
+        else:
+            tyro.cli(_checking_files(function), prog=prog, args=list(argv))
     except CdcsrError as error:
         return _fail(str(error), error.exit_code)
     except KeyboardInterrupt:

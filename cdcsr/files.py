@@ -11,7 +11,7 @@ import json
 import os
 import shutil
 import uuid
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -142,7 +142,7 @@ class WorkingFolder:
         self,
         folder: Path,
         identity: Mapping[str, object] | None = None,
-        defaults: Mapping[str, object] | None = None,
+        older: Callable[[dict[str, object]], dict[str, object]] | None = None,
         force: bool = False,
     ) -> Iterator[None]:
         """Make the folder, or check that it holds this work, and keep other processes out.
@@ -151,21 +151,21 @@ class WorkingFolder:
             folder: where the work is done.
             identity: plain data that must be the same for the work to be resumed; it becomes the
                 record. None resumes any work of this kind and leaves the record alone.
-            defaults: values of those options that an older record may lack.
+            older: translates the record of an older version to what this one would have written.
             force: begin anew where the folder holds other work of this kind.
 
         Raises:
             CdcsrError: the folder holds something else, or cannot be made.
             Busy: another process works there.
         """
-        self.check(folder, identity, defaults, force)
+        self.check(folder, identity, older, force)
         try:
             folder.mkdir(parents=True, exist_ok=True)
         except OSError as error:
             raise _cannot_write(folder, error) from None
         with lock(folder / ".lock"):
             # Again, as the process that held the lock may have changed what is there.
-            self.check(folder, identity, defaults, force)
+            self.check(folder, identity, older, force)
             if force:
                 self._delete_results(folder)
             record = folder / self.record
@@ -179,7 +179,7 @@ class WorkingFolder:
         self,
         folder: Path,
         identity: Mapping[str, object] | None,
-        defaults: Mapping[str, object] | None = None,
+        older: Callable[[dict[str, object]], dict[str, object]] | None = None,
         force: bool = False,
     ) -> None:
         """Check that a folder is new or empty, or holds this work; arguments as for :meth:`claim`.
@@ -197,7 +197,7 @@ class WorkingFolder:
             raise CdcsrError(f"{folder} exists and is not {self.kind}; give another folder.")
         if force or identity is None:
             return
-        ours, theirs = _flat(identity), {**_flat(defaults or {}), **_flat(found)}
+        ours, theirs = _flat(identity), _flat(older(found) if older else found)
         names = sorted(name for name in {*ours, *theirs} if ours.get(name) != theirs.get(name))
         if names:
             raise CdcsrError(

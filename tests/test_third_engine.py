@@ -13,7 +13,7 @@ from controllers.jacobian import JacobianController
 from training.bench.sections import run_sections
 from training.commands.build_model import build_model
 from training.commands.parity import parity
-from training.study.declare.run_spec import RunSpec
+from training.config.run_description import RunDescription
 from training.study.execute.evaluations import Subject, nominal
 
 pytestmark = pytest.mark.usefixtures("third_engine")
@@ -69,6 +69,8 @@ def test_bench_measures_it(
 
 def test_the_study_measures_in_it() -> None:
     robot = load_robot("paper")
-    subject = Subject(RunSpec("jacobian", space="anchor"), JacobianController(robot), robot)
+    subject = Subject(
+        RunDescription(algorithm="jacobian", space="anchor"), JacobianController(robot), robot
+    )
     rows = list(nominal(subject, 1))
     assert [row[0] for row in rows if row[1] == "anchor"] == ALL

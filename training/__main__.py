@@ -9,9 +9,9 @@ from cdcsr.cli import run
 
 def main() -> int:
     """Train a policy from the command line."""
-    from training.config.run_config import Train
+    from training.commands.train import TrainCommand
 
-    return run(Train, "training", sys.argv[1:])
+    return run(TrainCommand, "training", sys.argv[1:])
 
 
 if __name__ == "__main__":

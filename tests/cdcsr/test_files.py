@@ -189,12 +189,15 @@ def test_other_work_is_refused_by_the_names_of_what_differs(tmp_path: Path) -> N
     assert (tmp_path / "table.csv").read_text() == "1"
 
 
-def test_an_older_record_has_the_defaults_of_younger_options(tmp_path: Path) -> None:
+def test_an_older_record_is_translated_before_it_is_compared(tmp_path: Path) -> None:
+    def older(record: dict[str, object]) -> dict[str, object]:
+        return {"seed": 1, **record}
+
     with WORK.claim(tmp_path, {"rounds": 3}):
         pass
-    WORK.check(tmp_path, {"rounds": 3, "seed": 1}, defaults={"rounds": 9, "seed": 1})
+    WORK.check(tmp_path, {"rounds": 3, "seed": 1}, older=older)
     with pytest.raises(CdcsrError, match=r"other options \(seed\)"):
-        WORK.check(tmp_path, {"rounds": 3, "seed": 2}, defaults={"rounds": 9, "seed": 1})
+        WORK.check(tmp_path, {"rounds": 3, "seed": 2}, older=older)
 
 
 def test_force_begins_anew_and_deletes_only_results(tmp_path: Path) -> None:

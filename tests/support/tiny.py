@@ -9,22 +9,23 @@ import numpy as np
 
 from cdcsr import locks
 from cdcsr.robot.description import Robot
+from training.algorithms.registry import find_algorithm
+from training.config.run_description import Changes, RunDescription
 from training.networks.actor import Actor
 from training.policy import Policy
 from training.study.declare.budgets import Budget
-from training.study.declare.run_spec import RunSpec
 from training.study.execute.jobs import Job
 
 FRAME_SKIP = 10
 """Episodes of 25 actions, so that some end within a short run."""
-TINY = (
-    ("batch_size", 32),
-    ("bc_rollouts", 4),
-    ("bc_updates", 100),
-    ("hidden", (16, 16)),
-    ("num_envs", 4),
-)
-"""What is switched in a job's learner."""
+TINY = {
+    "batch_size": 32,
+    "bc_rollouts": 4,
+    "bc_updates": 100,
+    "hidden": (16, 16),
+    "num_envs": 4,
+}
+"""Numbers that make learning take seconds."""
 CENTERS = np.array([[0.1, 0.2, 2.4]])
 """Of the demonstrations' targets of `untrained_policy`: nobody else's."""
 TINY_BUDGET = Budget("tiny", 1, 60, 60, 2, 20, 2)
@@ -33,9 +34,17 @@ TINY_BUDGET = Budget("tiny", 1, 60, 60, 2, 20, 2)
 def tiny_job(
     updates: int = 60, evaluations: tuple[str, ...] = ("nominal",), **options: object
 ) -> Job:
-    """Of TD3, unless the options, fields of its :class:`RunSpec`, say something else."""
-    spec = replace(RunSpec("td3", updates=updates, demonstrations=1, switches=TINY), **options)
+    """A job of TD3, unless the options, fields of its description, say something else."""
+    spec = RunDescription(algorithm="td3", updates=updates, num_demonstrations=1)
+    spec = replace(spec, **{"changes": tiny_changes(), **options})
     return Job(spec, evaluations, TINY_BUDGET)
+
+
+def tiny_changes(algorithm: str = "td3", **numbers: object) -> Changes:
+    """The small numbers that an algorithm reads, and others that it must read."""
+    known = find_algorithm(algorithm).numbers.model_fields
+    small = {name: value for name, value in TINY.items() if name in known}
+    return tuple({**small, **numbers}.items())
 
 
 def untrained_policy(robot: Robot) -> Policy:

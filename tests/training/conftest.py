@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-import dataclasses
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import pytest
 import torch
@@ -13,9 +13,9 @@ from cdcsr.robot.description import Robot, load_robot
 from cdcsr.tasks.observation import observation_size
 from tests.support.small_study import small_study
 from tests.support.tiny import FRAME_SKIP
+from training.algorithms.registry import ALGORITHMS
 from training.algorithms.td3 import TD3
 from training.commands.demonstrate import demonstrate
-from training.config.run_config import Learner
 from training.experience.replay import Batch
 
 _SIZE = 4
@@ -56,14 +56,16 @@ def demonstrations(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.fixture
-def make(small_robot: Robot) -> Callable[..., TD3]:
+def make(small_robot: Robot) -> Callable[..., TD3[Any]]:
     """An algorithm on networks of two layers of 16, without target noise, always with the same weights."""
 
-    def make(kind: type[TD3], **numbers: object) -> TD3:
+    def make(kind: type[TD3[Any]], **numbers: object) -> TD3[Any]:
         torch.manual_seed(3)
-        learner = dataclasses.replace(
-            Learner(hidden=(16, 16), target_noise=0.0, batch_size=_SIZE), **numbers
-        )
+        (own,) = {
+            one.numbers for one in ALGORITHMS.values() if one.learner is kind and not one.tuned
+        }
+        usual = {"hidden": (16, 16), "target_noise": 0.0, "batch_size": _SIZE}
+        learner = own(**{**usual, **numbers})
         return kind(small_robot, learner, torch.Generator().manual_seed(0))
 
     return make

@@ -11,7 +11,7 @@ from torch import Tensor
 from torch.nn import functional
 
 from cdcsr.robot.description import Robot
-from training.config.run_config import Learner
+from training.config.learner import Cloning
 from training.networks.actor import Actor
 
 Progress = Callable[[int, float], None]
@@ -26,7 +26,7 @@ class BehaviourCloning:
         generator: draws the batches.
     """
 
-    def __init__(self, robot: Robot, learner: Learner, generator: torch.Generator) -> None:
+    def __init__(self, robot: Robot, learner: Cloning, generator: torch.Generator) -> None:
         self.learner = learner
         self.actor = Actor(
             robot, learner.features == "state+error", learner.hidden, "tanh", learner.symmetry
@@ -61,7 +61,7 @@ def pairs(actor: Actor, observations: Tensor, commands: Tensor) -> tuple[Tensor,
 
 def imitate(
     actor: Actor,
-    learner: Learner,
+    learner: Cloning,
     observations: Tensor,
     commands: Tensor,
     generator: torch.Generator,

@@ -5,10 +5,10 @@ from __future__ import annotations
 from typing import ClassVar
 
 from cdcsr.tasks.task import Reward
-from training.algorithms.td3 import TD3
+from training.algorithms.td3 import TD3, BackboneNumbers
 
 
-class DRLDR(TD3):
-    """TD3 that is paid by the distance to the target, and sees no demonstration."""
+class DRLDR(TD3[BackboneNumbers]):
+    """TD3 whose reward is minus the distance to the target; it sees no demonstration."""
 
     reward: ClassVar[Reward] = "dense"

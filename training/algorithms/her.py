@@ -2,8 +2,19 @@
 
 from __future__ import annotations
 
-from training.algorithms.td3 import TD3
+from typing import Annotated
+
+from pydantic import Field
+
+from training.algorithms.td3 import TD3, TD3Numbers
 
 
-class HER(TD3):
-    """TD3 that also learns from what it did reach: `hindsight` is above zero; see :mod:`training.experience.hindsight`."""
+class HERNumbers(TD3Numbers):
+    """The numbers of HER."""
+
+    hindsight: Annotated[int, Field(ge=0)] = 4
+    """Copies of each collected episode that are stored with a target that the tip did reach."""
+
+
+class HER(TD3[HERNumbers]):
+    """TD3 that also learns from targets it did reach; see :mod:`training.experience.hindsight`."""

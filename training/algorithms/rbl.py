@@ -1,4 +1,8 @@
-"""RBL: TD3 regularized with the behaviour cloning loss (BATD3 paper, section V-B)."""
+"""RBL: TD3 regularized with the behaviour cloning loss (BATD3 paper, section V-B).
+
+It differs from its source, ROT (Haldar et al. 2022), where the actor starts as the clone and the
+cloning term is 12 times as strong for 8 cables.
+"""
 
 from __future__ import annotations
 
@@ -9,17 +13,22 @@ from torch import Tensor
 from torch.nn import functional
 
 from training.algorithms.bc import pairs
-from training.algorithms.td3wd import TD3wD
+from training.algorithms.td3wd import TD3wD, TD3wDNumbers
+from training.config.learner import CloneStart
 from training.experience.replay import Batch
 
 
-class RBL(TD3wD):
+class RBLNumbers(TD3wDNumbers, CloneStart):
+    """The numbers of RBL."""
+
+
+class RBL(TD3wD[RBLNumbers]):
     """The actor also imitates, as much as the critics say that imitation still pays.
 
-    With the soft Q-filter of Haldar et al. 2022 (eq. 6), the loss is (1 - share) of TD3's and share of the cloning
-    loss, share being that part of the batch in which the clone's action has the higher value. The cloning loss is that
-    of the demonstrations (BATD3 paper, eq. 4), a batch of which is drawn for it: on what else was visited the clone may
-    be wrong, and only tells how much there is still to be learned from it.
+    With the soft Q-filter of Haldar et al. 2022 (eq. 6) the loss is (1 - share) of TD3's and share
+    of the cloning loss; share is the part of the batch in which the clone's action has the higher
+    value. The cloning loss is on a batch drawn from the demonstrations (BATD3 paper, eq. 4):
+    elsewhere the clone may be wrong.
     """
 
     uses_clone: ClassVar[bool] = True

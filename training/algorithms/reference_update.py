@@ -19,7 +19,9 @@ import torch
 from torch import Generator, Tensor
 from torch.nn import functional
 
-from training.config.run_config import Learner
+from training.algorithms.batd3 import AssistedNumbers
+from training.algorithms.imitation import Imitation
+from training.algorithms.td3 import BackboneNumbers, TD3Numbers
 from training.experience.replay import Batch
 
 Losses = Literal["td3", "batd3", "rbl", "clasp"]
@@ -55,7 +57,7 @@ class Networks:
 def update(
     networks: Networks,
     batch: Batch,
-    learner: Learner,
+    learner: BackboneNumbers,
     losses: Losses,
     generator: Generator,
     shown: tuple[Tensor, Tensor] | None = None,
@@ -74,7 +76,7 @@ def update(
     with torch.no_grad():
         value = next_value(networks, batch, learner, losses, generator)
         target = batch.reward + batch.discount * value  # n-step: both come from the replay
-        if learner.clip_targets:
+        if isinstance(learner, TD3Numbers) and learner.clip_targets:
             target = target.clamp(0, 1)
     errors = values(networks.critics, batch.observation, batch.action) - target
     descend(networks.critic_optimizer, errors.square().mean(1).sum())
@@ -86,7 +88,7 @@ def update(
 
 
 def next_value(
-    networks: Networks, batch: Batch, learner: Learner, losses: Losses, generator: Generator
+    networks: Networks, batch: Batch, learner: BackboneNumbers, losses: Losses, generator: Generator
 ) -> Tensor:
     """Return the value at the end of each transition, shape (B,)."""
     action = torch.tanh(outputs(networks.target_actor, batch.next_observation)[0])
@@ -98,7 +100,7 @@ def next_value(
         return values(networks.target_critics, batch.next_observation, action)[drawn].amin(0)
 
     policy = least(action)
-    if losses != "batd3":
+    if losses != "batd3" or not isinstance(learner, AssistedNumbers):
         return policy
     clone = least(batch.next_bc_action)
     probability = torch.sigmoid(learner.softmax_temperature * (clone - policy))
@@ -109,7 +111,7 @@ def next_value(
 def actor_loss(
     networks: Networks,
     batch: Batch,
-    learner: Learner,
+    learner: BackboneNumbers,
     losses: Losses,
     generator: Generator,
     shown: tuple[Tensor, Tensor] | None,
@@ -131,7 +133,7 @@ def actor_loss(
         imitation = (imitated - shown[1][chosen]).square().mean()
         return saturation + share * imitation - (1 - share) * value.mean()
     loss = saturation - value.mean()
-    if losses in ("batd3", "clasp"):
+    if isinstance(learner, Imitation):
         left = max(0.0, 1 - networks.updates / learner.anchor_updates)
         weight = learner.anchor_floor + left * (learner.clone_anchor - learner.anchor_floor)
         better = learner.self_imitation * (batch.outcome - value.detach()).clamp_min(0)
@@ -155,7 +157,7 @@ def values(critics: list[Layer], encoded: Tensor, action: Tensor) -> Tensor:
     return outputs(critics, torch.cat([encoded, action], 1))[..., 0]
 
 
-def draw(learner: Learner, generator: Generator) -> Tensor:
+def draw(learner: BackboneNumbers, generator: Generator) -> Tensor:
     """Return Z of E critics: all of them, or a random subset."""
     num, drawn = learner.critics, learner.target_critics
     return torch.arange(num) if drawn == num else torch.randperm(num, generator=generator)[:drawn]

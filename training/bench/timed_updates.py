@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import replace
 from itertools import pairwise
 
 import numpy as np
@@ -14,8 +13,9 @@ from cdcsr.errors import CdcsrError
 from cdcsr.robot.description import Robot, load_robot
 from cdcsr.tasks.catalogue import make_task
 from cdcsr.tasks.observation import observation_size
-from training.algorithms.registry import ALGORITHMS
-from training.config.run_config import Learner, learner_for
+from training.algorithms.batd3 import BATD3Numbers
+from training.algorithms.registry import find_algorithm
+from training.algorithms.td3 import BackboneNumbers
 from training.experience.collector import FinishedEpisode
 from training.experience.mixed_replay import MixedReplay
 
@@ -57,8 +57,11 @@ def own_updates(name: str = "batd3", bfloat16: bool = False) -> Updates:
         bfloat16: multiply matrices in bfloat16.
     """
     torch.set_num_threads(1)
-    robot, learner = load_robot("paper"), replace(learner_for(name, "paper"), bfloat16=bfloat16)
-    algorithm = ALGORITHMS[name](robot, learner, torch.Generator().manual_seed(0))
+    robot, entry = load_robot("paper"), find_algorithm(name)
+    learner = entry.numbers().changed(bfloat16=bfloat16)
+    assert entry.learner is not None
+    assert isinstance(learner, BackboneNumbers)
+    algorithm = entry.learner(robot, learner, torch.Generator().manual_seed(0))
     rng, cables = np.random.default_rng(0), robot.num_cables
 
     def clone(observations: NDArray[np.float64]) -> NDArray[np.float32]:
@@ -121,7 +124,7 @@ def matrix_products() -> Updates:
     return run
 
 
-def update_flops(learner: Learner, robot: Robot) -> float:
+def update_flops(learner: BATD3Numbers, robot: Robot) -> float:
     """Return the floating-point operations in the matrix products of one BATD3 update.
 
     A multiplication and an addition count as two. A row through a network takes two operations for

@@ -12,6 +12,8 @@ import torch
 from cdcsr.robot.description import Robot
 from cdcsr.simulation.benchmarks import Measurement
 from cdcsr.tasks.observation import observation_size
+from training.algorithms.batd3 import BATD3Numbers
+from training.algorithms.registry import algorithm_title
 from training.bench.peer_process import MissingPeer, Peer
 from training.bench.timed_updates import (
     PRODUCT_SIZE,
@@ -23,9 +25,7 @@ from training.bench.timed_updates import (
     stable_baselines_updates,
     update_flops,
 )
-from training.config.run_config import Learner
 from training.networks import bfloat16
-from training.plots.style import algorithm_title
 
 TIMED = ("batd3", "td3", "clasp")
 """Algorithms whose updates are timed."""
@@ -42,7 +42,7 @@ def trainer(robot: Robot, python: str) -> Iterator[Measurement]:
         robot: the description.
         python: an interpreter that may have sbx-rl.
     """
-    yield from compare_speeds(update_seconds(robot, python), update_flops(Learner(), robot))
+    yield from compare_speeds(update_seconds(robot, python), update_flops(BATD3Numbers(), robot))
     what = "speed of a run's updates with another run beside it over alone"
     yield Measurement("side_by_side", side_by_side(), what)
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Iterable, Iterator, Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -14,18 +14,19 @@ from cdcsr.files import WorkingFolder, read_json, write_json, write_text
 from cdcsr.robot.description import load_robot
 from cdcsr.simulation.engines import backend_names, engine_title
 from controllers.jacobian import JacobianController
+from training.algorithms.registry import algorithm_title
 from training.commands.build_model import build_model
 from training.commands.demonstrate import demonstrate
-from training.config.run_config import PRESETS, Learner, Train
+from training.config.run_description import Changes
 from training.config.seeds import TEST_SEED
 from training.measure.evaluation import Result
 from training.measure.transfer_matrix import disagreements, format_table, transfer
 from training.plots.learning_curve import draw_learning_curve
-from training.plots.style import algorithm_title
 from training.plots.targets import draw_targets
 from training.plots.video import policy_video
 from training.policy import Policy, load_policy
 from training.run.metrics import read_metrics
+from training.run.train_options import Train
 from training.run.trainer import train
 
 ROBOT, SPACE = "paper", "spatter"
@@ -59,7 +60,10 @@ class Amounts:
     """Episodes for each point of the learning curve."""
     filmed: int = 3
     """Episodes in the video: those of the first held-out targets."""
-    learner: Learner = field(default_factory=lambda: replace(PRESETS["tuned"], updates=9_000))
+    updates: int = 9_000
+    """Updates of BATD3."""
+    changes: Changes = ()
+    """Changed numbers of the learner."""
 
 
 @dataclass(frozen=True)
@@ -133,12 +137,13 @@ class Demo:
         self._out, self._amounts = out, amounts
         self._robot = load_robot(ROBOT)
         self._training = Train(
-            out / RUN,
+            out=out / RUN,
             space=SPACE,
             robot=ROBOT,
             demonstrations=out / DEMONSTRATIONS,
             evaluate_episodes=amounts.validation_episodes,
-            learner=amounts.learner,
+            updates=amounts.updates,
+            changes=amounts.changes,
         )
 
     def stages(self) -> Iterator[Stage]:
@@ -149,7 +154,7 @@ class Demo:
         yield Stage(f"ten demonstrations in {engine}", robot, (DEMONSTRATIONS,), self._demonstrate)
         yield Stage(
             f"BC and BATD3 in {engine}",
-            {**self._training.identity(), "minutes": self._amounts.minutes},
+            {**self._training.identity(self._robot.fingerprint), "minutes": self._amounts.minutes},
             (f"{RUN}/policy.json", f"{CLONE}/policy.json"),
             self._train,
         )

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from cdcsr.envs.gym_env import TaskVectorEnv
 from cdcsr.tasks.observation import observation_size
-from training.config.run_config import Learner
+from training.config.learner import Practising
 from training.networks.actor import Actor
 
 Array = NDArray[np.float64]
@@ -36,7 +36,7 @@ class FinishedEpisode:
     too where a target is followed."""
 
 
-def exploration_noise(learner: Learner) -> Array:
+def exploration_noise(learner: Practising) -> Array:
     """Return the standard deviation of the noise on actions in [-1, 1], shape (num_envs,)."""
     if not learner.noise_ladder:
         return np.full(learner.num_envs, learner.exploration_noise)

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from cdcsr.robot.description import Robot
 from cdcsr.tasks.observation import observation_size
 from cdcsr.tasks.task import Task
-from training.config.run_config import Learner
+from training.config.learner import Practising
 from training.experience.collector import FinishedEpisode
 from training.experience.hindsight import relabel
 from training.experience.replay import Batch, Replay
@@ -32,6 +32,8 @@ class MixedReplay:
         learner: the learner's numbers.
         clone: maps observations (n, observation size) to the behaviour clone's actions (n, C);
             called once for each stored observation. None if the algorithm has no clone.
+        kept_share: share of a batch that comes from the demonstration buffer; 0 for no such
+            buffer.
 
     Attributes:
         buffers: the buffers by the names that they have in a checkpoint: `replay` and, if there
@@ -42,10 +44,12 @@ class MixedReplay:
         self,
         robot: Robot,
         task: Task,
-        learner: Learner,
+        learner: Practising,
         clone: Callable[[Array], NDArray[np.float32]] | None = None,
+        kept_share: float = 0.0,
     ) -> None:
         self._learner, self._clone, self._task = learner, clone, task
+        self._kept_share = kept_share
         self._mirror_symmetry = MirrorSymmetry(robot) if learner.symmetry else None
         endless = not task.ends and task.reward_kind == "sparse"
         self._reward_scale = 1 - learner.discount if endless else 1.0
@@ -57,7 +61,7 @@ class MixedReplay:
                 learner.discount,
                 learner.return_steps,
             )
-            for name in (["replay", "kept"] if learner.kept_share > 0 else ["replay"])
+            for name in (["replay", "kept"] if kept_share > 0 else ["replay"])
         }
 
     @property
@@ -90,7 +94,7 @@ class MixedReplay:
         kept = self.buffers["kept"]
         if collected.size < size:
             return kept.sample(size, rng)
-        share = round(self._learner.kept_share * size)
+        share = round(self._kept_share * size)
         parts = collected.sample(size - share, rng), kept.sample(share, rng)
         return Batch(*(torch.cat(both) for both in zip(*parts, strict=True)))
 

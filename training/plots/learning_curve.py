@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from cdcsr.errors import CdcsrError
 from cdcsr.plots import COLORS, SOFT, drawn, short_count
-from training.plots.style import algorithm_title
+from training.algorithms.registry import algorithm_title
 from training.run.metrics import read_metrics
 
 Array = NDArray[np.float64]

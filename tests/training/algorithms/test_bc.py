@@ -8,7 +8,7 @@ import torch
 from cdcsr.robot.description import Robot
 from cdcsr.tasks.observation import observation_size
 from training.algorithms.bc import BehaviourCloning, imitate
-from training.config.run_config import Learner
+from training.config.learner import Cloning
 
 
 def test_clone_learns_a_known_policy(small_robot: Robot) -> None:
@@ -16,7 +16,7 @@ def test_clone_learns_a_known_policy(small_robot: Robot) -> None:
     observations = torch.randn(400, observation_size(small_robot)) * 0.1
     pull = torch.sigmoid(10 * observations[:, :1])
     commands = -pull * torch.tensor([5.0, 2.5, 0.0, 5.0])
-    learner = Learner(bc_updates=500, bc_learning_rate=3e-3, batch_size=128, hidden=(64, 64))
+    learner = Cloning(bc_updates=500, bc_learning_rate=3e-3, batch_size=128, hidden=(64, 64))
     clone = BehaviourCloning(small_robot, learner, torch.Generator().manual_seed(0))
     losses: list[float] = []
     clone.fit(observations, commands, lambda _, loss: losses.append(loss))
@@ -30,7 +30,7 @@ def test_clone_learns_a_known_policy(small_robot: Robot) -> None:
 
 
 def test_imitation_is_the_same_for_clone_and_actor(small_robot: Robot) -> None:
-    learner = Learner(hidden=(16,), bc_updates=30)
+    learner = Cloning(hidden=(16,), bc_updates=30)
     generator = torch.Generator().manual_seed(1)
     observations = torch.randn(50, observation_size(small_robot), generator=generator)
     commands = -5 * torch.rand(50, small_robot.num_cables, generator=generator)

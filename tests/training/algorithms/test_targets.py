@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from typing import Any
 
 import numpy as np
 import torch
@@ -11,11 +12,11 @@ from training.algorithms.batd3 import BATD3
 from training.algorithms.td3 import TD3
 from training.experience.replay import Batch
 
-Make = Callable[..., TD3]
+Make = Callable[..., TD3[Any]]
 
 
 def _value(
-    algorithm: TD3, member: int, encoded: torch.Tensor, action: torch.Tensor
+    algorithm: TD3[Any], member: int, encoded: torch.Tensor, action: torch.Tensor
 ) -> torch.Tensor:
     return algorithm.target_critics(encoded, action, [member])[0]
 

@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-import dataclasses
 import json
 from collections.abc import Callable
 from pathlib import Path
-from typing import cast, get_args
+from typing import Any
 
 import pytest
 import torch
@@ -14,27 +13,25 @@ from safetensors import safe_open
 
 from cdcsr.robot.description import load_robot
 from controllers.demonstrations import load
-from tests.support.tiny import FRAME_SKIP
+from tests.support.tiny import FRAME_SKIP, tiny_changes
 from training.algorithms.batd3 import BATD3, WithoutAssistance
 from training.algorithms.clasp import CLASP
 from training.algorithms.drldr import DRLDR
 from training.algorithms.rbl import RBL
-from training.algorithms.registry import ALGORITHMS
+from training.algorithms.registry import ALGORITHMS, own_numbers
 from training.algorithms.td3 import TD3
-from training.config.run_config import PRESETS, AlgorithmName, Train, learner_for
+from training.config.run_description import Changes
 from training.experience.replay import Batch
+from training.run.train_options import Train
 from training.run.trainer import train
 
-Make = Callable[..., TD3]
+Make = Callable[..., TD3[Any]]
+LEARNERS = {name: one.learner for name, one in ALGORITHMS.items() if one.learner}
 
 
-def _values(algorithm: TD3, encoded: torch.Tensor, action: torch.Tensor) -> torch.Tensor:
+def _values(algorithm: TD3[Any], encoded: torch.Tensor, action: torch.Tensor) -> torch.Tensor:
     """Of all critics, shape (E, B)."""
     return algorithm.critics(encoded, action)
-
-
-def test_every_algorithm_on_the_command_line_exists_once() -> None:
-    assert set(get_args(AlgorithmName)) == {"bc", *ALGORITHMS}
 
 
 def test_rbl_imitates_what_was_shown_as_often_as_the_clone_is_better(
@@ -76,7 +73,7 @@ def test_without_assistance_the_clone_does_not_matter(make: Make, small_batch: B
 def test_a_dense_reward_is_not_clipped(make: Make, small_batch: Batch) -> None:
     batch = small_batch._replace(reward=torch.full((4,), -2.0), discount=torch.zeros(4))
     for kind, target in ((DRLDR, -2.0), (TD3, 0.0)):
-        algorithm = make(kind, clip_targets=True)
+        algorithm = make(kind, **({} if kind is DRLDR else {"clip_targets": True}))
         with torch.no_grad():
             values = _values(algorithm, algorithm.actor.encoder(batch.observation), batch.action)
         loss = algorithm.update(batch)["critic_loss"].item()
@@ -94,6 +91,7 @@ def test_clasp_lets_go_of_the_clone_linearly(
         clone_anchor=2.0,
         anchor_updates=500,
         anchor_floor=0.4,
+        self_imitation=0.0,
     )
     clasp.updates = updates
     encoded = clasp.actor.encoder(small_batch.observation)
@@ -107,9 +105,11 @@ def test_clasp_lets_go_of_the_clone_linearly(
 
 @pytest.mark.parametrize(("kind", "critics"), [(CLASP, 1), (BATD3, 2)])
 def test_what_went_better_than_expected_is_imitated_by_how_much(
-    make: Make, small_batch: Batch, kind: type[TD3], critics: int
+    make: Make, small_batch: Batch, kind: type[TD3[Any]], critics: int
 ) -> None:
-    learner = make(kind, critics=critics, target_critics=critics, self_imitation=3.0)
+    learner = make(
+        kind, critics=critics, target_critics=critics, self_imitation=3.0, clone_anchor=0.0
+    )
     encoded = learner.actor.encoder(small_batch.observation)
     with torch.no_grad():
         action = learner.actor(encoded)
@@ -121,7 +121,7 @@ def test_what_went_better_than_expected_is_imitated_by_how_much(
 
 
 def test_the_critic_that_judges_clasps_actor_is_drawn_anew(make: Make, small_batch: Batch) -> None:
-    clasp = make(CLASP, critics=3, target_critics=2)
+    clasp = make(CLASP, critics=3, target_critics=2, clone_anchor=0.0, self_imitation=0.0)
     encoded = clasp.actor.encoder(small_batch.observation)
     with torch.no_grad():
         losses = {round(clasp.actor_loss(encoded, small_batch).item(), 6) for _ in range(60)}
@@ -129,28 +129,30 @@ def test_the_critic_that_judges_clasps_actor_is_drawn_anew(make: Make, small_bat
     assert losses == {round(-value, 6) for value in values.tolist()}
 
 
-@pytest.mark.parametrize("algorithm", list(ALGORITHMS))
+def _few(algorithm: str) -> Changes:
+    """Small numbers, and a clone that has hardly learned."""
+    rollouts = {"bc_rollouts": 6} if "bc_rollouts" in _fields(algorithm) else {}
+    updates = {"bc_updates": 400} if "bc_updates" in _fields(algorithm) else {}
+    return tiny_changes(algorithm, batch_size=4, num_envs=2, **rollouts, **updates)
+
+
+def _fields(algorithm: str) -> set[str]:
+    return set(ALGORITHMS[algorithm].numbers.model_fields)
+
+
+@pytest.mark.parametrize("algorithm", LEARNERS)
 def test_what_each_begins_with(tmp_path: Path, demonstrations: Path, algorithm: str) -> None:
     """Rows of the replay buffers after one update, before any episode has ended."""
-    small = dataclasses.replace(
-        learner_for(algorithm, "tuned"),
-        hidden=(16, 16),
-        batch_size=4,
-        num_envs=2,
-        updates=2,
-        bc_updates=400,
-        bc_rollouts=6,
-    )
     config = Train(
-        tmp_path / "run",
-        cast(AlgorithmName, algorithm),
-        space="anchor",
+        out=tmp_path / "run",
+        algorithm=algorithm,
         frame_skip=FRAME_SKIP,
         demonstrations=demonstrations,
         evaluate_every=0,
         evaluate_episodes=1,
         stop_after=0.0,
-        learner=small,
+        updates=2,
+        changes=_few(algorithm),
     )
     train(config)
     with safe_open(tmp_path / "run" / "state.safetensors", framework="pt") as file:
@@ -170,20 +172,18 @@ def test_what_each_begins_with(tmp_path: Path, demonstrations: Path, algorithm: 
     else:  # and the successes of a clone that has hardly learned
         assert sizes["replay"] >= shown
         assert (tmp_path / "run" / "clone" / "policy.json").exists()
-    assert (tmp_path / "run" / "clone").exists() == ALGORITHMS[algorithm].uses_clone
+    assert (tmp_path / "run" / "clone").exists() == LEARNERS[algorithm].uses_clone
 
 
-def test_what_rlpd_and_her_have_of_their_own_and_the_paper_preset() -> None:
-    rlpd = learner_for("rlpd", "paper")
-    assert (rlpd.kept_share, rlpd.layer_norm, rlpd.updates_per_step) == (0.5, True, 20)
-    tuned = learner_for("rlpd", "tuned")
-    assert (tuned.kept_share, tuned.layer_norm) == (0.5, True)
-    assert (
-        tuned.updates_per_step == learner_for("td3", "tuned").updates_per_step
-    )  # or it had less experience
-    for preset in PRESETS:  # Andrychowicz et al. 2017: four targets in hindsight
-        assert learner_for("her", preset) == dataclasses.replace(
-            learner_for("td3", preset), hindsight=4
-        )
-    assert learner_for("batd3", "paper") == PRESETS["paper"]
-    assert learner_for("batd3-no-ensemble", "paper").critics == 2
+def test_what_rlpd_and_her_have_of_their_own() -> None:
+    rlpd = own_numbers("rlpd", "paper-reading").model_dump()
+    assert (rlpd["kept_share"], rlpd["layer_norm"], rlpd["updates_per_step"]) == (0.5, True, 20)
+    tuned, td3 = (own_numbers(name, "tuned").model_dump() for name in ("rlpd", "td3"))
+    assert (tuned["kept_share"], tuned["layer_norm"]) == (0.5, True)
+    # With more updates a step it would have less experience than the others.
+    assert tuned["updates_per_step"] == td3["updates_per_step"]
+    for preset in ("paper-reading", "tuned"):  # Andrychowicz et al. 2017: four targets
+        her = own_numbers("her", preset).model_dump()
+        assert her == {**own_numbers("td3", preset).model_dump(), "hindsight": 4}
+    pair = own_numbers("batd3-no-ensemble", "paper-reading").model_dump()
+    assert pair["critics"] == 2

@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 import sys
+from typing import Any
 
 import pytest
 import torch
 
 from cdcsr.robot.description import Robot
+from training.algorithms.batd3 import BATD3, BATD3Numbers
+from training.algorithms.registry import ALGORITHMS, Algorithm
 from training.bench import timed_updates, trainer_speed
 from training.bench.timed_updates import Updates, update_flops
 from training.bench.trainer_speed import (
@@ -17,7 +20,6 @@ from training.bench.trainer_speed import (
     in_bfloat16,
     update_seconds,
 )
-from training.config.run_config import Learner
 from training.networks.bfloat16 import has_fast_bfloat16
 
 
@@ -55,9 +57,12 @@ def test_the_speed_of_the_others_in_bfloat16_is_taken_in_bfloat16(
     assert seen == [(3, "medium")]
     assert torch.get_float32_matmul_precision() == "highest"
     kinds: list[bool] = []
-    monkeypatch.setitem(
-        timed_updates.ALGORITHMS, "batd3", lambda *given: kinds.append(given[1].bfloat16)
-    )
+
+    class Seen(BATD3):
+        def __init__(self, *given: Any) -> None:
+            kinds.append(given[1].bfloat16)
+
+    monkeypatch.setitem(ALGORITHMS, "batd3", Algorithm("BATD3", "", BATD3Numbers, Seen))
     for bfloat16 in (True, False):
         timed_updates.own_updates("batd3", bfloat16)
     assert kinds == [True, False]
@@ -129,4 +134,4 @@ def test_operations_of_an_update_are_those_of_its_matrix_products(paper: Robot) 
     critics = 5 * (3 * critic - 39 * 256)
     improve = (3 * actor - 31 * 256 + 2 * 2 * critic) / 2
     expected = 2 * 256 * (target + critics + improve)
-    assert update_flops(Learner(), paper) == pytest.approx(expected)
+    assert update_flops(BATD3Numbers(), paper) == pytest.approx(expected)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -11,23 +10,17 @@ import pytest
 
 from cdcsr.cli import main
 from cdcsr.errors import CdcsrError
+from tests.support.tiny import tiny_changes
 from training.commands import demo_stages
 from training.commands.demo_stages import DEMO_FOLDER, Amounts, Stage, carry_out, run_demo
-from training.config.run_config import PRESETS
 from training.plots import video
 
 
 def tiny(minutes: float) -> Amounts:
-    learner = replace(
-        PRESETS["tuned"],
-        updates=20,
-        bc_updates=50,
-        bc_rollouts=2,
-        num_envs=4,
-        batch_size=32,
-        hidden=(32, 32),
+    changes = tiny_changes("batd3", bc_updates=50, bc_rollouts=2, hidden=(32, 32))
+    return Amounts(
+        minutes, episodes=2, validation_episodes=2, filmed=1, updates=20, changes=changes
     )
-    return Amounts(minutes, episodes=2, validation_episodes=2, filmed=1, learner=learner)
 
 
 class Killed(BaseException):

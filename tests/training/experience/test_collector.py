@@ -15,7 +15,7 @@ from cdcsr.envs.gym_env import TaskVectorEnv
 from cdcsr.robot.description import Robot, load_robot
 from cdcsr.tasks.catalogue import Capture, make_task
 from tests.support.tiny import FRAME_SKIP
-from training.config.run_config import Learner
+from training.config.learner import Practising
 from training.experience.collector import Collector, exploration_noise
 from training.experience.mixed_replay import MixedReplay
 from training.networks.actor import Actor
@@ -23,7 +23,7 @@ from training.networks.actor import Actor
 Array, Mask = NDArray[np.float64], NDArray[np.bool_]
 
 NUM, STEPS, GAMMA = 5, 4, 0.9
-LEARNER = Learner(
+LEARNER = Practising(
     hidden=(8, 8),
     num_envs=NUM,
     return_steps=STEPS,
@@ -131,7 +131,7 @@ def test_noise_is_held_and_grows_along_the_environments(paper: Robot) -> None:
     for parameter in actor.parameters():
         parameter.data.zero_()
     env = _LoggedEnv(NUM, paper)
-    scale = exploration_noise(replace(LEARNER, exploration_noise=0.1))
+    scale = exploration_noise(LEARNER.changed(exploration_noise=0.1))
     collector = Collector(env, scale, LEARNER.noise_hold, np.random.default_rng(0))
     collector.start(0)
     for _ in range(300):
@@ -148,7 +148,7 @@ def test_noise_is_held_and_grows_along_the_environments(paper: Robot) -> None:
 
 
 def test_noise_is_the_same_everywhere_or_climbs_a_ladder() -> None:
-    learner = Learner(num_envs=5, exploration_noise=0.2)
+    learner = Practising(num_envs=5, exploration_noise=0.2)
     np.testing.assert_allclose(exploration_noise(learner), 0.2)
-    ladder = exploration_noise(replace(learner, noise_ladder=True))
+    ladder = exploration_noise(learner.changed(noise_ladder=True))
     np.testing.assert_allclose(ladder, [0, 0.1, 0.2, 0.3, 0.4])

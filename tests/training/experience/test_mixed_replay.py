@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from cdcsr.robot.description import load_robot
 from cdcsr.tasks.catalogue import make_task
 from cdcsr.tasks.observation import observation_size
-from training.config.run_config import Learner
+from training.config.learner import Practising
 from training.experience.collector import FinishedEpisode
 from training.experience.mixed_replay import MixedReplay
 
@@ -31,8 +31,8 @@ def _clone(observations: NDArray[np.float64]) -> NDArray[np.float32]:
 
 
 def _replay(kept_share: float) -> MixedReplay:
-    learner = Learner(batch_size=40, capacity=1000, kept_share=kept_share)
-    return MixedReplay(_ROBOT, make_task("reach"), learner, _clone)
+    learner = Practising(batch_size=40, capacity=1000)
+    return MixedReplay(_ROBOT, make_task("reach"), learner, _clone, kept_share)
 
 
 def test_demonstrations_have_their_share_of_every_batch() -> None:
@@ -63,7 +63,7 @@ def test_without_a_share_there_is_one_buffer() -> None:
 def test_values_of_a_task_that_does_not_end_stay_below_one(
     task: str, reward: str | None, stored: float
 ) -> None:
-    learner = Learner(batch_size=4, capacity=100, discount=0.75)
+    learner = Practising(batch_size=4, capacity=100, discount=0.75)
     replay = MixedReplay(_ROBOT, make_task(task, reward_kind=reward), learner)
     episode = dataclasses.replace(_episode(40, 1.0), rewards=np.ones(40), terminated=False)
     replay.prefill([episode])

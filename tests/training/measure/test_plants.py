@@ -20,6 +20,7 @@ from cdcsr.simulation.engines import backend_names, make_simulation
 from cdcsr.simulation.plant import Parameters
 from controllers.controller import Conditions, Controller, Target
 from training.commands.sweep import sweep as command
+from training.config.run_description import SCRIPTED, RunDescription
 from training.config.seeds import VALIDATION_SEED
 from training.measure import plant_sweep as sweeps
 from training.measure.evaluation import Result, evaluate
@@ -34,7 +35,6 @@ from training.measure.plant_sweep import (
     sweep,
 )
 from training.policy import Policy, find_policy
-from training.study.declare.run_spec import SCRIPTED, RunSpec
 from training.study.execute import evaluations
 
 both = pytest.mark.parametrize("backend", backend_names())
@@ -307,7 +307,9 @@ def test_every_point_is_of_the_task(monkeypatch: pytest.MonkeyPatch, paper: Robo
 
     for module in (sweeps, evaluations):
         monkeypatch.setattr(module, "evaluate", measured)
-    subject = evaluations.Subject(RunSpec(SCRIPTED, task="capture", updates=0), Clock(), paper)
+    subject = evaluations.Subject(
+        RunDescription(algorithm=SCRIPTED, task="capture", updates=0), Clock(), paper
+    )
     assert len(list(evaluations.plants(subject, 1))) > 2 * len(AXES)
     assert set(tasks) == {"capture"}
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 from pathlib import Path
 from typing import Any
 
@@ -19,16 +18,18 @@ from cdcsr.tasks.catalogue import make_task
 from cdcsr.tasks.observation import TARGET, observation_size
 from cdcsr.tasks.symmetry import images
 from controllers.rollout import rollout
+from tests.support.tiny import tiny_changes
+from training.algorithms.batd3 import BATD3Numbers
 from training.algorithms.bc import BehaviourCloning
-from training.config.run_config import Learner, Train, learner_for
 from training.experience.collector import Collector, FinishedEpisode
 from training.experience.mixed_replay import MixedReplay
 from training.networks.actor import Actor
 from training.networks.mirror_symmetry import MirrorSymmetry
 from training.policy import Policy, find_policy, load_policy
+from training.run.train_options import Train
 from training.run.trainer import train
 
-_LEARNER = Learner(hidden=(16,), symmetry=True, batch_size=8, capacity=100, bc_updates=50)
+_LEARNER = BATD3Numbers(hidden=(16,), symmetry=True, batch_size=8, capacity=100, bc_updates=50)
 
 
 @pytest.fixture(params=["paper", "three-cable"])
@@ -111,7 +112,7 @@ def test_collected_actions_are_the_actors_at_the_canonical_image() -> None:
     robot = load_robot("paper")
     torch.manual_seed(0)
     actor = Actor(robot, True, (16,), "relu", mirror_symmetry=True)
-    learner = dataclasses.replace(_LEARNER, capacity=2000)
+    learner = _LEARNER.changed(capacity=2000)
     env = _NearPlane(2, robot, frame_skip=5, task="capture-drift")
     collector = Collector(env, 0.0, 1, np.random.default_rng(0))
     collector.start(seed=0)
@@ -133,26 +134,16 @@ def test_collected_actions_are_the_actors_at_the_canonical_image() -> None:
 
 @pytest.mark.parametrize("averaged", [True, False])
 def test_a_trained_policy_and_its_clone_are_symmetric(tmp_path: Path, averaged: bool) -> None:
-    learner = dataclasses.replace(
-        learner_for("batd3", "tuned"),
-        symmetry=True,
-        hidden=(16,),
-        batch_size=32,
-        num_envs=2,
-        updates=40,
-        bc_updates=20,
-        bc_rollouts=2,
-        averaged_policy=averaged,
-    )
     out = tmp_path / "run"
     train(
         Train(
-            out,
+            out=out,
             frame_skip=5,
             num_demonstrations=1,
             evaluate_every=0,
             evaluate_episodes=1,
-            learner=learner,
+            updates=40,
+            changes=tiny_changes("batd3", symmetry=True, averaged_policy=averaged),
         )
     )
     robot = load_robot("paper")
@@ -174,7 +165,7 @@ def test_a_robot_without_mirror_image_is_refused(tmp_path: Path) -> None:
     path.write_text(text)
     assert len(images(load_robot(str(path)))) == 1
     with pytest.raises(CdcsrError, match="symmetry must be off"):
-        train(Train(tmp_path / "run", robot=str(path), learner=_LEARNER))
+        train(Train(out=tmp_path / "run", robot=str(path), changes=(("symmetry", True),)))
     assert not (tmp_path / "run").exists()
 
 
@@ -236,4 +227,4 @@ def test_images_of_a_target_are_reached_along_images_of_one_path(engine: str, na
 
 
 def test_off_by_default() -> None:
-    assert dataclasses.asdict(Learner())["symmetry"] is False
+    assert BATD3Numbers().symmetry is False

@@ -19,41 +19,42 @@ from safetensors.torch import load_file
 from cdcsr.envs.gym_env import TaskVectorEnv
 from cdcsr.errors import CdcsrError
 from cdcsr.robot.description import load_robot
-from tests.support.tiny import FRAME_SKIP
+from tests.support.tiny import FRAME_SKIP, tiny_changes
 from training.commands.demonstrate import demonstrate
-from training.config.run_config import PRESETS, Train, learner_for
 from training.experience.collector import Collector
 from training.measure.evaluation import Result
 from training.networks.actor import Actor
 from training.networks.bfloat16 import has_fast_bfloat16
 from training.policy import Policy, load_policy
-from training.run.heeded import refuse_unheeded
+from training.run.setup import Setup
+from training.run.train_options import Train, train_options
 from training.run.trainer import Run, train
 from training.study.declare.budgets import BUDGETS
 from training.study.declare.grid import EXPERIMENTS, collect
 
-_SMALL = dataclasses.replace(
-    PRESETS["tuned"],
-    hidden=(16, 16),
-    batch_size=32,
-    num_envs=4,
-    updates=60,
-    bc_updates=100,
-    bc_rollouts=4,
-)
 
-
-def _config(out: Path, demonstrations: Path | None, **options: object) -> Train:
-    config = Train(
+def _config(
+    out: Path,
+    demonstrations: Path | None,
+    *,
+    algorithm: str = "batd3",
+    numbers: dict[str, object] | None = None,
+    **options: Any,
+) -> Train:
+    usual: dict[str, Any] = {
+        "space": "spatter",
+        "frame_skip": FRAME_SKIP,
+        "evaluate_every": 20,
+        "evaluate_episodes": 4,
+        "updates": 60,
+    }
+    return Train(
         out=out,
         demonstrations=demonstrations,
-        space="spatter",
-        frame_skip=FRAME_SKIP,
-        evaluate_every=20,
-        evaluate_episodes=4,
-        learner=_SMALL,
+        algorithm=algorithm,
+        changes=tiny_changes(algorithm, **(numbers or {})),
+        **{**usual, **options},
     )
-    return dataclasses.replace(config, **options)
 
 
 def test_a_run_leaves_policy_metrics_and_summary(tmp_path: Path, demonstrations: Path) -> None:
@@ -73,20 +74,16 @@ def test_a_run_leaves_policy_metrics_and_summary(tmp_path: Path, demonstrations:
     assert json.loads((tmp_path / "summary.json").read_text())["validation"]["episodes"] == 4
 
 
-_EVERYTHING = dataclasses.replace(
-    _SMALL,
-    hindsight=2,
-    kept_share=0.25,
-    keep_successes=True,
-    clone_start=True,
-    clone_anchor=1.0,
-    self_imitation=1.0,
-    noise_ladder=True,
-    practice=0.2,
-    updates_per_step=2,
-    final_learning_rate=0.5,
-    updates=120,
-)
+_EVERYTHING = {
+    "hindsight": 2,
+    "kept_share": 0.25,
+    "clone_start": True,
+    "clone_anchor": 1.0,
+    "self_imitation": 1.0,
+    "noise_ladder": True,
+    "practice": 0.2,
+    "updates_per_step": 2,
+}
 
 
 @pytest.mark.parametrize(
@@ -96,16 +93,16 @@ _EVERYTHING = dataclasses.replace(
         ("batd3", {}),
         ("rbl", {}),
         # Long enough for plants that are drawn after the stop to be learned from.
-        ("td3", {"randomize": 1.0, "learner": dataclasses.replace(_SMALL, updates=120)}),
+        ("td3", {"randomize": 1.0, "updates": 120}),
         pytest.param(
             "batd3",
-            {"learner": dataclasses.replace(_SMALL, hidden=(64, 64), batch_size=64, bfloat16=True)},
+            {"numbers": {"hidden": (64, 64), "batch_size": 64, "bfloat16": True}},
             marks=pytest.mark.skipif(
                 not has_fast_bfloat16(), reason="this processor has no use for bfloat16"
             ),
         ),
-        ("clasp", {"learner": _EVERYTHING}),
-        ("her", {"task": "capture-drift", "learner": dataclasses.replace(_SMALL, hindsight=1)}),
+        ("clasp", {"numbers": _EVERYTHING, "updates": 120}),
+        ("her", {"task": "capture-drift", "numbers": {"hindsight": 1}}),
     ],
 )
 def test_a_stopped_run_goes_on_to_the_same_bits(
@@ -124,13 +121,11 @@ def test_a_stopped_run_goes_on_to_the_same_bits(
     )
     with monkeypatch.context() as patch:  # half-way, in the middle of episodes
         calls = itertools.count(1)
-        patch.setattr(
-            Run, "_out_of_time", lambda run: next(calls) == run.config.learner.updates // 2
-        )
+        patch.setattr(Run, "_out_of_time", lambda run: next(calls) == run.config.updates // 2)
         assert train(halves).card.get("updates") is None
     assert (tmp_path / "halves" / "state.safetensors").exists()
     resumed = train(halves)
-    assert resumed.card["updates"] == whole.card["updates"] == halves.learner.updates
+    assert resumed.card["updates"] == whole.card["updates"] == halves.updates
     a, b = (load_file(tmp_path / name / "policy.safetensors") for name in ("whole", "halves"))
     assert a.keys() == b.keys()
     for name in a:
@@ -142,10 +137,8 @@ def test_a_run_with_other_options_is_refused_and_kept(tmp_path: Path, demonstrat
     config = _config(out, demonstrations, algorithm="bc")
     train(config)
     before = (out / "policy.safetensors").read_bytes()
-    with pytest.raises(CdcsrError, match=r"other options \(learner\.discount, seed\)"):
-        train(
-            dataclasses.replace(config, seed=1, learner=dataclasses.replace(_SMALL, discount=0.9))
-        )
+    with pytest.raises(CdcsrError, match=r"other options \(learner\.bc_updates, seed\)"):
+        train(dataclasses.replace(config, seed=1, changes=tiny_changes("bc", bc_updates=50)))
     assert (out / "policy.safetensors").read_bytes() == before
 
 
@@ -173,11 +166,10 @@ def test_a_run_with_another_dataset_under_the_same_name_is_refused(
 )
 def test_a_run_is_another_with_any_option_that_matters(other: dict[str, Any]) -> None:
     config = _config(Path("run"), None)
-    assert dataclasses.replace(config, **other).identity() != config.identity()
-    assert (
-        dataclasses.replace(config, out=Path("x"), stop_after=1.0, force=True).identity()
-        == config.identity()
-    )
+    assert dataclasses.replace(config, **other).identity("f") != config.identity("f")
+    assert dataclasses.replace(config, out=Path("x"), stop_after=1.0, force=True).identity(
+        "f"
+    ) == config.identity("f")
 
 
 def test_a_folder_that_is_no_run_is_refused(tmp_path: Path, demonstrations: Path) -> None:
@@ -200,7 +192,7 @@ def test_a_damaged_state_is_one_clear_line(tmp_path: Path, demonstrations: Path)
     "misspelt", [{"backend": "mujco"}, {"space": "anker"}, {"robot": "papre"}, {"task": "captur"}]
 )
 def test_a_misspelt_name_leaves_no_folder(
-    tmp_path: Path, demonstrations: Path, misspelt: dict[str, str]
+    tmp_path: Path, demonstrations: Path, misspelt: dict[str, Any]
 ) -> None:
     with pytest.raises(CdcsrError, match="Unknown"):
         train(_config(tmp_path / "run", demonstrations, **misspelt))
@@ -223,7 +215,7 @@ def test_practice_is_past_the_space_and_measured_within_it(
         far = np.abs(targets - anchor.center) - np.array(anchor.size) / 2
         return far.max(axis=1).clip(0).tolist()
 
-    step, measure, reset = Collector.step, Run._evaluate, TaskVectorEnv.reset
+    step, measure, reset = Collector.step, Setup.validate, TaskVectorEnv.reset
 
     def watched_reset(self: TaskVectorEnv, **options: Any) -> Any:
         begun = reset(self, **options)
@@ -237,16 +229,16 @@ def test_practice_is_past_the_space_and_measured_within_it(
         seen["practised"] += outside(self.env.targets)
         return step(self, actor)
 
-    def watched_measure(self: Run, policy: Policy) -> Result:
+    def watched_measure(self: Setup, policy: Policy) -> Result:
         result = measure(self, policy)
         seen["measured"] += outside(result.targets)
         return result
 
     monkeypatch.setattr(Collector, "step", watched_step)
-    monkeypatch.setattr(Run, "_evaluate", watched_measure)
+    monkeypatch.setattr(Setup, "validate", watched_measure)
     monkeypatch.setattr(TaskVectorEnv, "reset", watched_reset)
-    learner = dataclasses.replace(_SMALL, practice=0.5)
-    train(_config(tmp_path / "run", demonstrations, space="anchor", learner=learner))
+    numbers: dict[str, object] = {"practice": 0.5}
+    train(_config(tmp_path / "run", demonstrations, space="anchor", numbers=numbers))
     assert 0.1 < max(seen["practised"]) < 0.5
     assert 0 in seen["practised"]
     assert max(seen["measured"]) < 1e-12
@@ -254,30 +246,18 @@ def test_practice_is_past_the_space_and_measured_within_it(
     assert max(seen["shown"]) < 1e-12
 
 
-@pytest.mark.parametrize("switch", [{"hindsight": 2}, {"noise_ladder": True}, {"bfloat16": True}])
-def test_a_clone_refuses_what_is_for_practice_and_minds_no_sizes(
-    tmp_path: Path, switch: dict[str, Any]
-) -> None:
-    (name,) = switch
-    learner = dataclasses.replace(_SMALL, **switch)
-    with pytest.raises(
-        CdcsrError, match=f"{name} must be .* for bc, not .*: it is for methods that practise"
-    ):
-        refuse_unheeded(Train(tmp_path, algorithm="bc", learner=learner))
-    for sizes in (
-        _SMALL,
-        PRESETS["tuned"],
-        dataclasses.replace(PRESETS["tuned"], saturation_penalty=0.02),
-    ):
-        for preset in PRESETS:
-            refuse_unheeded(Train(tmp_path, algorithm="bc", preset=preset, learner=sizes))
+def test_the_clone_alone_has_no_options_of_practice(tmp_path: Path) -> None:
+    for name, value in {"hindsight": 2, "noise_ladder": True, "bfloat16": True}.items():
+        run = Train(out=tmp_path, algorithm="bc", changes=((name, value),))
+        with pytest.raises(CdcsrError, match=f"Unknown option of this algorithm '{name}'"):
+            train(run)
 
 
-def test_every_run_of_the_study_heeds_what_is_changed_in_it() -> None:
+def test_every_run_of_the_study_can_be_trained() -> None:
     runs = collect(list(EXPERIMENTS), BUDGETS["paper"]).values()
     for spec, _ in runs:
-        if spec.trains:
-            refuse_unheeded(spec.train(Path("nowhere")))
+        if spec.trains and ("bfloat16", True) not in spec.changes:
+            Setup(train_options(spec, Path("nowhere")))
     assert len(runs) > 500
 
 
@@ -286,31 +266,16 @@ def test_every_run_of_the_study_heeds_what_is_changed_in_it() -> None:
     [
         ({"capacity": 31}, "capacity must be at least 32, a batch and an episode"),
         ({"capacity": 25, "batch_size": 8}, "capacity must be at least 26"),
-        ({"kept_share": 0.5}, "kept_share must be 0 for td3"),
-        (
-            {"self_imitation": 1.0},
-            "self_imitation must be 0.0 for td3, not 1.0: it is read by batd3, batd3-no-bc, ",
-        ),
-        (
-            {"target_choice": "hard"},
-            "target_choice must be softmax for td3, not hard: it is read by batd3, ",
-        ),
-        (
-            {"noise_ladder": True, "num_envs": 1},
-            "noise_ladder must be False for td3, not True: num_envs is 1",
-        ),
-        (
-            {"keep_successes": True},
-            "keep_successes must be False for td3, not True: kept_share is 0",
-        ),
+        ({"kept_share": 0.5}, "Unknown option of this algorithm 'kept_share'"),
+        ({"self_imitation": 1.0}, "Unknown option of this algorithm 'self_imitation'"),
+        ({"noise_ladder": True, "num_envs": 1}, "noise_ladder needs num_envs of at least 2"),
     ],
 )
 def test_numbers_that_cannot_serve_are_refused(
-    tmp_path: Path, demonstrations: Path, numbers: dict[str, Any], message: str
+    tmp_path: Path, demonstrations: Path, numbers: dict[str, object], message: str
 ) -> None:
-    learner = dataclasses.replace(_SMALL, **numbers)
     with pytest.raises(CdcsrError, match=message):
-        train(_config(tmp_path / "run", demonstrations, algorithm="td3", learner=learner))
+        train(_config(tmp_path / "run", demonstrations, algorithm="td3", numbers=numbers))
     assert not (tmp_path / "run").exists()
 
 
@@ -334,13 +299,23 @@ def test_a_finished_run_writes_its_summary_again_and_force_leaves_no_policy(
         load_policy(tmp_path / "run")
 
 
-def test_of_a_repeated_option_the_last_counts() -> None:
-    both = ["--algorithm", "td3", "--preset=paper", "--algorithm", "clasp", "--preset=tuned"]
-    assert Train.defaults(both).learner == learner_for("clasp", "tuned")
-
-
 def test_a_task_that_does_not_end_is_discounted(tmp_path: Path, demonstrations: Path) -> None:
-    learner = dataclasses.replace(_SMALL, discount=1.0)
+    numbers: dict[str, object] = {"discount": 1.0}
     with pytest.raises(CdcsrError, match="discount must be below 1 for 'follow-line'"):
-        train(_config(tmp_path / "run", demonstrations, task="follow-line", learner=learner))
+        train(_config(tmp_path / "run", demonstrations, task="follow-line", numbers=numbers))
     assert not (tmp_path / "run").exists()
+
+
+def test_a_finished_run_records_no_demonstrations(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    config = _config(tmp_path / "run", None, algorithm="bc", num_demonstrations=1)
+    train(config)
+
+    def record(*_: object, **__: object) -> None:
+        raise AssertionError("a demonstration was recorded")
+
+    monkeypatch.setattr("controllers.demonstrations.record", record)
+    assert train(config).card["updates"] == 0
+    with pytest.raises(AssertionError, match="recorded"):
+        train(_config(tmp_path / "other", None, algorithm="bc"))

@@ -15,36 +15,33 @@ from safetensors.torch import load_file
 from cdcsr.errors import CdcsrError
 from cdcsr.locks import Busy, lock
 from cdcsr.simulation.randomization import Randomization
-from tests.support.tiny import FRAME_SKIP
-from training.config.ranges import EVALUATION_SEEDS
-from training.config.run_config import PRESETS, Train, learner_for
-from training.config.seeds import TEST_SEED, VALIDATION_SEED
+from tests.support.tiny import FRAME_SKIP, tiny_changes
+from training.config.seeds import EVALUATION_SEEDS, TEST_SEED, VALIDATION_SEED
 from training.experience.collector import Collector, FinishedEpisode
 from training.networks.actor import Actor
 from training.run import trainer
-from training.run.heeded import refuse_unheeded
 from training.run.metrics import COLUMNS, Metrics, read_metrics
+from training.run.train_options import Train
 from training.run.trainer import train
 
-_SMALL = dataclasses.replace(
-    PRESETS["tuned"],
-    hidden=(16, 16),
-    batch_size=32,
-    num_envs=4,
-    updates=61,
-    bc_updates=50,
-    bc_rollouts=2,
-)
 
-
-def config(out: Path, demonstrations: Path, **options: Any) -> Train:
-    usual: dict[str, Any] = {
-        "space": "spatter",
-        "frame_skip": FRAME_SKIP,
-        "evaluate_every": 0,
-        "learner": _SMALL,
-    }
-    return Train(out, demonstrations=demonstrations, evaluate_episodes=2, **{**usual, **options})
+def config(
+    out: Path,
+    demonstrations: Path,
+    *,
+    algorithm: str = "batd3",
+    numbers: dict[str, object] | None = None,
+    **options: Any,
+) -> Train:
+    usual = {"space": "spatter", "frame_skip": FRAME_SKIP, "evaluate_every": 0, "updates": 61}
+    return Train(
+        out=out,
+        demonstrations=demonstrations,
+        evaluate_episodes=2,
+        algorithm=algorithm,
+        changes=tiny_changes(algorithm, **(numbers or {})),
+        **{**usual, **options},
+    )
 
 
 class Watched(Collector):
@@ -76,7 +73,6 @@ def watched(monkeypatch: pytest.MonkeyPatch) -> list[Watched]:
 def test_seed_plants_and_updates_for_each_step_arrive(
     tmp_path: Path, demonstrations: Path, watched: list[Watched]
 ) -> None:
-    learner = dataclasses.replace(_SMALL, updates_per_step=3)
     train(
         config(
             tmp_path / "run",
@@ -84,7 +80,7 @@ def test_seed_plants_and_updates_for_each_step_arrive(
             algorithm="td3",
             seed=5,
             randomize=1.0,
-            learner=learner,
+            numbers={"updates_per_step": 3},
         )
     )
     (collector,) = watched
@@ -99,8 +95,8 @@ def test_the_actor_explores_and_its_average_is_kept(
     policy = train(config(tmp_path / "run", demonstrations, algorithm="td3"))
     explored, kept = (dict(one.state_dict()) for one in (watched[0].actors[-1], policy.actor))
     assert any(not torch.equal(explored[name], kept[name]) for name in kept)
-    last = dataclasses.replace(_SMALL, averaged_policy=False)
-    policy = train(config(tmp_path / "last", demonstrations, algorithm="td3", learner=last))
+    last: dict[str, object] = {"averaged_policy": False}
+    policy = train(config(tmp_path / "last", demonstrations, algorithm="td3", numbers=last))
     explored, kept = (dict(one.state_dict()) for one in (watched[1].actors[-1], policy.actor))
     assert all(torch.equal(explored[name], kept[name]) for name in kept)
 
@@ -108,18 +104,19 @@ def test_the_actor_explores_and_its_average_is_kept(
 def test_the_average_starts_from_the_clone_as_the_actor_does(
     tmp_path: Path, demonstrations: Path
 ) -> None:
-    still = dataclasses.replace(
-        _SMALL,
-        clone_start=True,
-        clone_anchor=0.5,
-        learning_rate=1e-30,
-        soft_update=1e-30,
-        updates=3,
-    )
+    still = {
+        "clone_start": True,
+        "clone_anchor": 0.5,
+        "learning_rate": 1e-30,
+        "soft_update": 1e-30,
+    }
     weights = []
     for averaged in (True, False):
-        learner = dataclasses.replace(still, averaged_policy=averaged)
-        train(config(tmp_path / str(averaged), demonstrations, algorithm="clasp", learner=learner))
+        numbers: dict[str, object] = {**still, "averaged_policy": averaged}
+        run = config(
+            tmp_path / str(averaged), demonstrations, algorithm="clasp", updates=3, numbers=numbers
+        )
+        train(run)
         weights.append(load_file(tmp_path / str(averaged) / "policy.safetensors"))
     for name in weights[0]:
         torch.testing.assert_close(weights[0][name], weights[1][name])
@@ -128,8 +125,8 @@ def test_the_average_starts_from_the_clone_as_the_actor_does(
 def test_no_run_learns_on_targets_that_are_for_measuring(tmp_path: Path) -> None:
     assert {TEST_SEED, VALIDATION_SEED} == EVALUATION_SEEDS.keys()
     for seed in EVALUATION_SEEDS:
-        with pytest.raises(CdcsrError, match=f"seed {seed} is that of the .* targets"):
-            Train(tmp_path / "run", seed=seed)
+        with pytest.raises(CdcsrError, match=f"seed {seed} draws the .* targets"):
+            Train(out=tmp_path / "run", seed=seed)
 
 
 @pytest.mark.parametrize("content", [None, "[]", '{"mine": 1}'])
@@ -222,11 +219,3 @@ def test_a_replay_that_does_not_fit_into_memory_is_one_line(
     monkeypatch.setattr(trainer, "MixedReplay", full)
     with pytest.raises(CdcsrError, match="capacity 1000000 does not fit"):
         train(config(tmp_path / "run", demonstrations, algorithm="td3"))
-
-
-def test_clipping_a_dense_rewards_targets_would_do_nothing(tmp_path: Path) -> None:
-    learner = dataclasses.replace(learner_for("drldr", "paper"), clip_targets=True)
-    with pytest.raises(
-        CdcsrError, match="clip_targets must be False for drldr, not True: its reward is dense"
-    ):
-        refuse_unheeded(Train(tmp_path, algorithm="drldr", preset="paper", learner=learner))

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import shutil
 from collections import Counter
-from dataclasses import asdict, replace
+from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -17,11 +17,12 @@ from cdcsr.files import write_json
 from cdcsr.robot.description import load_robot
 from controllers.jacobian import JacobianController
 from tests.support.tiny import TINY_BUDGET, tiny_job
+from training.algorithms.registry import numbers_of
+from training.config.run_description import SCRIPTED, RunDescription
 from training.experiments import experiments
 from training.measure.following import follow
 from training.study.declare.budgets import BUDGETS
 from training.study.declare.grid import EXPERIMENTS, collect
-from training.study.declare.run_spec import SCRIPTED, RunSpec
 from training.study.execute import evaluations, jobs
 from training.study.execute.evaluations import EPISODE_COLUMNS, EVALUATIONS, Evaluation
 from training.study.execute.jobs import Job
@@ -55,7 +56,7 @@ def test_around_is_all_around_the_arm_wherever_a_policy_was_trained(
 
     monkeypatch.setattr(evaluations, "evaluate", measured)
     subject = evaluations.Subject(
-        RunSpec("batd3", space="spatter"), JacobianController(robot), robot
+        RunDescription(algorithm="batd3", space="spatter"), JacobianController(robot), robot
     )
     rows = list(EVALUATIONS["workspace"].measure(subject, 1))
     assert asked == [("mujoco", "workspace"), ("pybullet", "workspace")]
@@ -98,7 +99,7 @@ def quick_evaluation(monkeypatch: pytest.MonkeyPatch) -> Counter[str]:
 
 def test_only_what_is_missing_is_done(tmp_path: Path, quick_evaluation: Counter[str]) -> None:
     runs, results = tmp_path / "runs", tmp_path / "results"
-    job = Job(RunSpec(SCRIPTED, updates=0), ("nominal",), TINY_BUDGET)
+    job = Job(RunDescription(algorithm=SCRIPTED, updates=0), ("nominal",), TINY_BUDGET)
     assert not job.is_done(results)
     jobs.carry_out(job, runs, results)
     jobs.carry_out(job, runs, results)
@@ -125,7 +126,7 @@ def test_a_record_that_is_missing_is_not_done(
     tmp_path: Path, quick_evaluation: Counter[str]
 ) -> None:
     runs, results = tmp_path / "runs", tmp_path / "results"
-    job = Job(RunSpec(SCRIPTED, updates=0), ("nominal",), TINY_BUDGET)
+    job = Job(RunDescription(algorithm=SCRIPTED, updates=0), ("nominal",), TINY_BUDGET)
     jobs.carry_out(job, runs, results)
     (results / job.name / "run.json").unlink()
     (results / job.name / ".nominal.csv.0badcafe").write_text("half")
@@ -206,16 +207,13 @@ def test_a_policy_that_was_trained_with_other_numbers_is_not_measured(
 def test_results_of_another_learner_are_not_taken_for_done(tmp_path: Path) -> None:
     job = tiny_job()
     record = tmp_path / job.name / "run.json"
-    write_json(record, {"learner": asdict(job.spec.learner)})
+    write_json(record, {"learner": numbers_of(job.spec).model_dump(mode="json")})
     assert job.changed(tmp_path) == []
-    other = asdict(job.spec.learner) | {"discount": 0.5}
+    other = numbers_of(job.spec).model_dump(mode="json") | {"discount": 0.5}
     write_json(record, {"learner": other})
-    assert job.changed(tmp_path) == [f"discount 0.5, now {job.spec.learner.discount}"]
-    # A record from before there was a number says nothing of it: it was as it is by default.
-    job = tiny_job(switches=(("symmetry", True),))
-    older = {name: value for name, value in asdict(job.spec.learner).items() if name != "symmetry"}
-    write_json(tmp_path / job.name / "run.json", {"learner": older})
-    assert job.changed(tmp_path) == ["symmetry False, now True"]
+    assert job.changed(tmp_path) == [
+        f"discount 0.5, now {numbers_of(job.spec).model_dump()['discount']}"
+    ]
 
 
 @pytest.mark.parametrize(
@@ -273,7 +271,7 @@ def test_the_command_takes_no_results_of_another_learner(
 ) -> None:
     cells = collect(["table4"], BUDGETS["quick"])
     (name,) = [name for name in cells if name.startswith("bc-tuned_anchor")]
-    learner = asdict(cells[name][0].learner)
+    learner = numbers_of(cells[name][0]).model_dump(mode="json")
     record = tmp_path / name / "run.json"
     arguments = [
         "table4",
@@ -286,9 +284,9 @@ def test_the_command_takes_no_results_of_another_learner(
         "--results",
         str(tmp_path),
     ]
-    write_json(record, {"learner": learner | {"discount": 0.5}})
+    write_json(record, {"learner": learner | {"bc_updates": 5}})
     assert run(experiments, "training.experiments", arguments) == 2
-    assert "other numbers of the learner (discount 0.5, now 0.99)" in capsys.readouterr().err
+    assert "other numbers of the learner (bc_updates 5, now 3000)" in capsys.readouterr().err
     record.write_text("{", "utf-8")
     assert run(experiments, "training.experiments", arguments) == 2
     assert "cannot be read" in capsys.readouterr().err

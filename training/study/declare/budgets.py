@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from training.config.run_config import PresetName
+from training.config.run_description import PresetName
 
 
 @dataclass(frozen=True)

@@ -8,7 +8,8 @@ from itertools import product
 
 from cdcsr.errors import CdcsrError, unknown_choice
 from cdcsr.simulation.engines import backend_names
-from training.config.run_config import PresetName
+from training.algorithms.registry import ALGORITHMS
+from training.config.run_description import SCRIPTED, Changes, PresetName, RunDescription
 from training.study.declare.budgets import Budget
 from training.study.declare.learner_changes import (
     FASTER,
@@ -22,21 +23,19 @@ from training.study.declare.learner_changes import (
     RAISED,
     RIVAL_VARIANTS,
     SYMMETRIC,
-    Changes,
     ours_for,
     task_numbers,
 )
-from training.study.declare.run_spec import SCRIPTED, RunSpec
 
 SPACES = ("spatter", "anchor", "floating")
 AROUND = "workspace"
 """The whole workspace of the demonstrator. As an evaluation: the policy is tested there, wherever
 it was trained."""
-METHODS = ("batd3", "bc", OURS, "td3wd", "rlpd", "rbl", "drldr", "td3", "her")
+METHODS = tuple(name for name, entry in ALGORITHMS.items() if not entry.ablation)
 """The methods of Table II, in the order in which they are run."""
 PRACTISING = ("batd3", OURS)
 TASK_METHODS = ("batd3", "bc", OURS, "td3wd", "rlpd")
-ABLATIONS = ("batd3", "batd3-no-bc", "batd3-no-prefill", "batd3-no-ensemble")
+ABLATIONS = ("batd3", *(name for name, entry in ALGORITHMS.items() if entry.ablation))
 COUNTS = (3, 5, 20)
 """Numbers of demonstrations that are tried beside the usual 10."""
 TASKS = (("reach", AROUND), ("capture", "anchor"), ("precise", "anchor"), ("quiet", "anchor"))
@@ -51,7 +50,7 @@ MOVING = ("capture-drift", "capture-tumble")
 class Cell:
     """One training run, for every seed, and the evaluations that an experiment needs of it."""
 
-    spec: RunSpec
+    spec: RunDescription
     """The run; :func:`collect` sets its seed and its number of updates."""
     evaluations: tuple[str, ...]
     length: int
@@ -79,21 +78,23 @@ def _run(
     demonstrations: int = 10,
     randomize: float = 0.0,
 ) -> Cell:
-    spec = RunSpec(
-        algorithm,
-        preset,
-        backend,
-        space,
-        task,
-        demonstrations=demonstrations,
+    spec = RunDescription(
+        algorithm=algorithm,
+        preset=preset,
+        backend=backend,
+        space=space,
+        task=task,
+        num_demonstrations=demonstrations,
         randomize=randomize,
-        switches=changes,
+        changes=changes,
     )
     return Cell(spec, evaluations or ("nominal",), length)
 
 
 def _scripted(*evaluations: str, task: str = "reach", space: str = "anchor") -> Cell:
-    return Cell(RunSpec(SCRIPTED, space=space, task=task), evaluations or ("nominal",), 0)
+    return Cell(
+        RunDescription(algorithm=SCRIPTED, space=space, task=task), evaluations or ("nominal",), 0
+    )
 
 
 EXPERIMENTS = {
@@ -294,17 +295,25 @@ EXPERIMENTS = {
     ),
     "paper-preset": Experiment(
         "BATD3 and BC with the paper's numbers, as this project reads them.",
-        [_run(name, space, preset="paper") for space, name in product(SPACES, ("batd3", "bc"))],
+        [
+            _run(name, space, preset="paper-reading")
+            for space, name in product(SPACES, ("batd3", "bc"))
+        ],
     ),
     "raised": Experiment(
         "The paper's preset with one number of `tuned` after another, for BATD3 in Spatter.",
-        [_run("batd3", "spatter", preset="paper", changes=changes) for changes in ((), *RAISED)],
+        [
+            _run("batd3", "spatter", preset="paper-reading", changes=changes)
+            for changes in ((), *RAISED)
+        ],
     ),
 }
 """All experiments by name, the most telling first."""
 
 
-def collect(names: Sequence[str], budget: Budget) -> dict[str, tuple[RunSpec, tuple[str, ...]]]:
+def collect(
+    names: Sequence[str], budget: Budget
+) -> dict[str, tuple[RunDescription, tuple[str, ...]]]:
     """Return the runs of some experiments by name, each once, with all its evaluations.
 
     All runs of seed 0 come first, then those of seed 1, and so on: a study that is stopped early
@@ -313,7 +322,7 @@ def collect(names: Sequence[str], budget: Budget) -> dict[str, tuple[RunSpec, tu
     Raises:
         CdcsrError: there is no such experiment.
     """
-    runs: dict[str, tuple[RunSpec, tuple[str, ...]]] = {}
+    runs: dict[str, tuple[RunDescription, tuple[str, ...]]] = {}
     for experiment in names:
         if experiment not in EXPERIMENTS:
             raise CdcsrError(unknown_choice("experiment", experiment, EXPERIMENTS))

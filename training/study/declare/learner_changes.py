@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-from training.config.run_config import PRESETS, TASK_OWN, learner_for
-
-Changes = tuple[tuple[str, object], ...]
-"""Changed numbers of a learner: (name, value) for each."""
+from training.algorithms.registry import ALGORITHMS, TUNED, differences, own_numbers
+from training.config.run_description import Changes
 
 OURS = "clasp"
 """The algorithm of this project."""
@@ -53,17 +51,14 @@ MANY_UPDATES: Changes = (("updates_per_step", 4),)
 """Four updates a step, the mark of RLPD. With the same number of updates it then sees a quarter of
 the experience."""
 
-_TUNED = PRESETS["tuned"].differences(PRESETS["paper"]).keys() - {
-    "updates",
-    "bc_updates",
-    "bc_learning_rate",
-}
+_PAPER = ALGORITHMS["batd3"].numbers().model_dump()
 PUT_BACK: tuple[Changes, ...] = tuple(
-    ((name, getattr(PRESETS["paper"], name)),) for name in sorted(_TUNED)
+    ((name, _PAPER[name]),)
+    for name in sorted(TUNED.keys() - {"updates", "bc_updates", "bc_learning_rate"})
 )
 """Each number that the preset `tuned` changes, set back to the paper's value, one an entry."""
 _NEEDED = "return_steps", "num_envs", "features", "learning_rate", "layer_norm", "clip_targets"
-_RAISED: Changes = tuple((name, getattr(PRESETS["tuned"], name)) for name in _NEEDED)
+_RAISED: Changes = tuple((name, TUNED[name]) for name in _NEEDED)
 RAISED: tuple[Changes, ...] = (
     _RAISED[:1],
     _RAISED[1:2],
@@ -76,11 +71,11 @@ RAISED: tuple[Changes, ...] = (
 
 def ours_for(task: str) -> Changes:
     """Return what CLASP's numbers for a task change in BATD3's."""
-    ours, batd3 = (learner_for(name, "tuned", task) for name in (OURS, "batd3"))
-    return tuple(ours.differences(batd3).items())
+    ours, batd3 = (own_numbers(name, "tuned", task) for name in (OURS, "batd3"))
+    return differences(ours, batd3)
 
 
 def task_numbers(task: str) -> Changes:
     """Return the numbers that CLASP has for a kind of task, as far as every method has them."""
-    own = TASK_OWN.get((OURS, task.partition("-")[0]), {})
+    own = ALGORITHMS[OURS].tuned_for.get(task.partition("-")[0], {})
     return tuple((name, value) for name, value in own.items() if name != "anchor_floor")

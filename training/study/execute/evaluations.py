@@ -16,13 +16,13 @@ from cdcsr.files import write_text
 from cdcsr.robot.description import Robot
 from cdcsr.simulation.engines import backend_names
 from controllers.controller import Controller
+from training.config.run_description import RunDescription
 from training.measure.evaluation import Result, evaluate
 from training.measure.following import MOTIONS, follow
 from training.measure.plant_axes import AXES
 from training.measure.plant_sweep import Point, sweep
 from training.policy import Policy
 from training.study.declare.grid import AROUND, SPACES
-from training.study.declare.run_spec import RunSpec
 
 EPISODE_COLUMNS = ("backend", "space", "axis", "level", "episode", "success", "length", "distance")
 FOLLOW_COLUMNS = (
@@ -54,7 +54,7 @@ Row = tuple[Any, ...]
 class Subject:
     """Who is measured."""
 
-    spec: RunSpec
+    spec: RunDescription
     controller: Controller
     robot: Robot
 

@@ -13,15 +13,17 @@ import sys
 import threading
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Any, get_args
+from typing import TYPE_CHECKING, Any
 
 from cdcsr.cli import run
 from cdcsr.errors import CdcsrError, unknown_choice
 from cdcsr.files import write_bytes, write_json
 from cdcsr.locks import lock
-from training.config.run_config import AlgorithmName, Learner
+from training.config.run_description import RunDescription
 from training.study.declare.budgets import Budget
-from training.study.declare.run_spec import RunSpec
+
+if TYPE_CHECKING:
+    from training.policy import Policy
 
 RECORD = "run.json"
 """Written last: a run whose record is there has a policy, and a learning curve if it learns."""
@@ -35,7 +37,7 @@ ROBOT = "paper"
 class Job:
     """A run and what is wanted of it."""
 
-    spec: RunSpec
+    spec: RunDescription
     evaluations: tuple[str, ...]
     budget: Budget
 
@@ -66,18 +68,16 @@ class Job:
             CdcsrError: the record cannot be read.
         """
         from cdcsr.files import read_json
+        from training.algorithms.registry import numbers_of
 
         path = results / self.name / RECORD
-        if not path.is_file():
+        if not path.is_file() or not self.spec.trains:
             return []
-        recorded = read_json(path).get("learner", {})
-        now = json.loads(json.dumps(asdict(self.spec.learner)))
-        if recorded:  # what did not exist then was as it is by default
-            recorded = json.loads(json.dumps(asdict(Learner()))) | recorded
+        recorded, now = read_json(path).get("learner", {}), numbers_of(self.spec)
         return [
-            f"{name} {value}, now {now.get(name)}"
-            for name, value in recorded.items()
-            if now.get(name) != value
+            f"{name} {recorded[name]}, now {value}"
+            for name, value in now.model_dump(mode="json").items()
+            if name in recorded and recorded[name] != value
         ]
 
     def is_begun(self, runs: Path) -> bool:
@@ -117,7 +117,7 @@ class Job:
         """
         try:
             data = json.loads(text)
-            spec = RunSpec.from_json(json.dumps(data["spec"]))
+            spec = RunDescription.from_dict(data["spec"])
             return cls(spec, tuple(data["evaluations"]), Budget(**data["budget"]))
         except (ValueError, TypeError, KeyError) as error:
             raise CdcsrError(f"{text!r} is not a job of the study: {error}.") from None
@@ -143,13 +143,14 @@ def carry_out(job: Job, runs: Path, results: Path) -> None:
         Busy: another process is at it.
         CdcsrError: there is no such algorithm or evaluation.
     """
+    from training.algorithms.registry import find_algorithm
     from training.study.execute.evaluations import EVALUATIONS
 
     for name in job.evaluations:
         if name not in EVALUATIONS:
             raise CdcsrError(unknown_choice("evaluation", name, EVALUATIONS))
-    if job.spec.trains and job.spec.algorithm not in get_args(AlgorithmName):
-        raise CdcsrError(unknown_choice("algorithm", job.spec.algorithm, get_args(AlgorithmName)))
+    if job.spec.trains:
+        find_algorithm(job.spec.algorithm)
     with lock(runs / f"{job.name}.lock"):
         missing = job.missing(results)
         if job.is_done(results):
@@ -208,29 +209,19 @@ def _is_of(folder: Path, digest: str, finished: bool) -> bool:
     return read_json(path).get("policy") == digest if path.is_file() else finished
 
 
-def _train(job: Job, out: Path) -> Any:
-    """The policy of the run, trained as far as that is still to be done.
+def _train(job: Job, out: Path) -> Policy:
+    """Return the policy of the run, trained as far as that is still to be done.
 
     Raises:
         CdcsrError: a run with other options is there.
     """
-    from dataclasses import replace
-
-    from cdcsr.robot.description import load_robot
-    from training.policy import load_policy
-    from training.run.run_folder import RUN_FOLDER, older_defaults
+    from training.run.train_options import train_options
     from training.run.trainer import train
 
-    config, budget = job.spec.train(out), job.budget
-    if (out / SUMMARY).is_file():
-        identity = {**config.identity(), "fingerprint": load_robot(ROBOT).fingerprint}
-        RUN_FOLDER.check(out, identity, older_defaults())
-        return load_policy(out)
     # At most 40 points on a learning curve, and as many checkpoints.
-    every = max(budget.evaluate_every, job.spec.updates // 40)
-    return train(
-        replace(config, evaluate_every=every, evaluate_episodes=budget.validation_episodes)
-    )
+    every = max(job.budget.evaluate_every, job.spec.updates // 40)
+    episodes = job.budget.validation_episodes
+    return train(train_options(job.spec, out, evaluate_every=every, evaluate_episodes=episodes))
 
 
 def _sweep(folder: Path) -> None:
@@ -240,11 +231,12 @@ def _sweep(folder: Path) -> None:
 
 
 def _record(job: Job, subject: Any, card: dict[str, Any]) -> dict[str, Any]:
+    from training.algorithms.registry import numbers_of
     from training.policy import versions
 
     return {
         "spec": {**job.spec.as_dict(), "budget": job.budget.name},
-        "learner": asdict(job.spec.learner) if job.spec.trains else {},
+        "learner": numbers_of(job.spec).model_dump(mode="json") if job.spec.trains else {},
         "policy": subject.controller.digest if job.spec.trains else None,
         "minutes": card.get("minutes", 0.0),
         "updates": card.get("updates", 0),

@@ -8,7 +8,7 @@ import numpy as np
 
 from training.measure.statistics import iqm, over_seeds
 from training.study.report.cells import COST, TRAINED, Table, Value, cost, measure, trained
-from training.study.report.records import SPACES, Run, grouped
+from training.study.report.records import SPACES, Run, grouped, is_plain
 from training.study.report.tables import basis
 
 
@@ -18,7 +18,7 @@ def aggregate(runs: Sequence[Run]) -> Table:
     Spaces are the tasks of the stratified bootstrap: seeds are redrawn in each by itself. Only methods with at least
     two seeds that all spaces have.
     """
-    chosen = [run for run in runs if run.setting.plain]
+    chosen = [run for run in runs if is_plain(run.setting)]
     used: list[Run] = []
     rows: list[tuple[float, list[Value]]] = []
     for setting, group in grouped(chosen, "space").items():

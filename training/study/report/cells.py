@@ -12,9 +12,10 @@ import numpy as np
 
 from cdcsr.simulation.engines import engine_title
 from cdcsr.tables import markdown
+from training.algorithms.registry import algorithm_title
+from training.config.run_description import RunDescription
 from training.measure.statistics import Estimate, iqm, over_seeds, rate
-from training.plots.style import algorithm_title
-from training.study.report.records import Episodes, Run, Setting
+from training.study.report.records import Episodes, Run, plain_text
 
 NOT_RUN = "not run"
 
@@ -140,9 +141,9 @@ def _range(numbers: Sequence[int]) -> str:
     )
 
 
-def who(setting: Setting) -> str:
+def who(setting: RunDescription) -> str:
     """A setting's algorithm, with what is switched in its learner and whether plants were randomized in training."""
-    parts = [f"{name} = {value}" for name, value in setting.switches]
+    parts = [f"{name} = {plain_text(value)}" for name, value in setting.changes]
     if setting.randomize:
         parts.append(
             "randomized plants" + ("" if setting.randomize == 1 else f" × {setting.randomize:g}")
@@ -150,7 +151,7 @@ def who(setting: Setting) -> str:
     return ", ".join([algorithm_title(setting.algorithm), *parts])
 
 
-def trained(setting: Setting) -> list[Value]:
+def trained(setting: RunDescription) -> list[Value]:
     """Columns that tell settings apart: algorithm, preset, engine it was trained in."""
     return [who(setting), setting.preset, engine_title(setting.backend)]
 

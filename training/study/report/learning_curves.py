@@ -13,27 +13,19 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import PercentFormatter
 from numpy.typing import NDArray
 
-from cdcsr.plots import COLORS, INK, SOFT, drawn, short_count
+from cdcsr.plots import drawn, short_count
 from cdcsr.simulation.engines import engine_title
+from training.algorithms.registry import algorithm_color, algorithm_title
+from training.config.run_description import RunDescription
 from training.measure.statistics import band
-from training.plots.style import algorithm_title
 from training.study.declare.grid import ABLATIONS
-from training.study.declare.learner_changes import OURS
 from training.study.report.cells import amount, measure, who
-from training.study.report.records import JACOBIAN, SPACES, Run, Setting, grouped
+from training.study.report.records import JACOBIAN, SPACES, Run, grouped, is_plain
 from training.study.report.tables import COUNTED, counted
 
 Array = NDArray[np.float64]
 
-ALGORITHM_COLORS = dict(
-    zip(("batd3", OURS, "td3wd", "rlpd", "rbl", "bc", "td3", "her"), COLORS, strict=True),
-    drldr=INK,
-    **{JACOBIAN: "#5aa02c"},
-    **dict(zip(ABLATIONS[1:], COLORS[1:], strict=False)),
-)
-"""Of algorithms, the same in all figures in which they stand side by side."""
-
-Panels = dict[str, dict[Setting, list[Run]]]
+Panels = dict[str, dict[RunDescription, list[Run]]]
 """Groups of seeds by the titles of their panels."""
 
 
@@ -47,8 +39,8 @@ def curve_figures(runs: Sequence[Run], out: Path) -> Iterator[tuple[str, str]]:
     Yields:
         The name of each file, and its caption.
     """
-    plain = [run for run in runs if run.setting.plain and run.setting.algorithm != JACOBIAN]
-    chosen: tuple[tuple[str, str, list[Run], Callable[[Setting], str]], ...] = (
+    plain = [run for run in runs if is_plain(run.setting) and run.setting.algorithm != JACOBIAN]
+    chosen: tuple[tuple[str, str, list[Run], Callable[[RunDescription], str]], ...] = (
         (
             "fig3",
             "Fig. 3: training",
@@ -66,7 +58,7 @@ def curve_figures(runs: Sequence[Run], out: Path) -> Iterator[tuple[str, str]]:
     for name, title, some, panel in chosen:
         for (preset, engine, updates), part in sorted(by_kind(some).items()):
             varied = [
-                (r.setting.algorithm, r.setting.switches, r.setting.demonstrations) for r in part
+                (r.setting.algorithm, r.setting.changes, r.setting.num_demonstrations) for r in part
             ]
             if (name != "fig3" or updates) and len(
                 {(one if name != "fig5" else one[2]) for one in varied}
@@ -163,7 +155,12 @@ def _draw(panels: Panels, path: Path, counts: bool) -> None:
 
 
 def draw_curve(
-    axes: Axes, setting: Setting, group: Sequence[Run], label: str, color: object, dashes: str
+    axes: Axes,
+    setting: RunDescription,
+    group: Sequence[Run],
+    label: str,
+    color: object,
+    dashes: str,
 ) -> None:
     """The mean of seeds and its interval; a level line for what has no learning curve."""
     updates, curves = aligned(group)
@@ -188,7 +185,7 @@ def _by_count(axes: Axes, panels: Panels) -> None:
             for s, g in groups.items()
             if s.algorithm == algorithm
         ]
-        cells = {s.demonstrations: measure(g, "nominal", space="anchor") for s, g in groups}
+        cells = {s.num_demonstrations: measure(g, "nominal", space="anchor") for s, g in groups}
         points = [(count, cell.success) for count, cell in sorted(cells.items()) if cell]
         if points:
             counts, values = (
@@ -197,14 +194,14 @@ def _by_count(axes: Axes, panels: Panels) -> None:
             )
             spread = np.abs(np.array([[e.low, e.high] for _, e in points]).T - values)
             style = {
-                "color": ALGORITHM_COLORS[algorithm],
+                "color": algorithm_color(algorithm),
                 "marker": "o",
                 "ms": 4,
                 "lw": 1.5,
                 "capsize": 2.5,
             }
             axes.errorbar(counts, values, spread, label=algorithm_title(algorithm), **style)
-    axes.set_xticks(sorted({s.demonstrations for groups in panels.values() for s in groups}))
+    axes.set_xticks(sorted({s.num_demonstrations for groups in panels.values() for s in groups}))
     tidy(axes)
 
 
@@ -212,7 +209,7 @@ def _looks(panels: Panels, counts: bool) -> dict[str, tuple[object, str]]:
     """Color and dashes by label: of the algorithm, by the number of demonstrations, or one after the other."""
     settings = [setting for groups in panels.values() for setting in groups]
     if counts:
-        numbers = sorted({setting.demonstrations for setting in settings})
+        numbers = sorted({setting.num_demonstrations for setting in settings})
         shades = matplotlib.colormaps["viridis_r"](np.linspace(0.2, 0.95, len(numbers)))
         return {
             _count_label(number): (shade, "-")
@@ -220,26 +217,26 @@ def _looks(panels: Panels, counts: bool) -> dict[str, tuple[object, str]]:
         }
     return {
         _label(setting, counts): (
-            ALGORITHM_COLORS.get(setting.algorithm, SOFT),
+            algorithm_color(setting.algorithm),
             "--" if setting.algorithm == "drldr" else "-",
         )
         for setting in settings
     }
 
 
-def _label(setting: Setting, counts: bool) -> str:
-    return _count_label(setting.demonstrations) if counts else who(setting)
+def _label(setting: RunDescription, counts: bool) -> str:
+    return _count_label(setting.num_demonstrations) if counts else who(setting)
 
 
 def _count_label(number: int) -> str:
     return f"{number} demonstrations"
 
 
-def _by_space(setting: Setting) -> str:
+def _by_space(setting: RunDescription) -> str:
     return f"{SPACES[setting.space]} Space"
 
 
-def _by_algorithm(setting: Setting) -> str:
+def _by_algorithm(setting: RunDescription) -> str:
     return algorithm_title(setting.algorithm)
 
 

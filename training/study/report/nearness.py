@@ -15,19 +15,19 @@ from cdcsr.plots import drawn
 from cdcsr.robot.description import Robot, load_robot
 from cdcsr.simulation.engines import engine_title
 from cdcsr.tasks.spaces import demonstration_targets, make_space
+from training.algorithms.registry import algorithm_color, algorithm_title
+from training.config.run_description import RunDescription
 from training.config.seeds import TEST_SEED
 from training.measure.statistics import Estimate, rate
-from training.plots.style import algorithm_title
 from training.study.declare.grid import ABLATIONS
 from training.study.report.cells import COST, TRAINED, Table, amount, cost, measure, trained
-from training.study.report.learning_curves import ALGORITHM_COLORS, legend, tidy
+from training.study.report.learning_curves import legend, tidy
 from training.study.report.records import (
     DEMONSTRATIONS,
     JACOBIAN,
     REACH,
     SPACES,
     Run,
-    Setting,
     at_home,
     grouped,
 )
@@ -55,7 +55,7 @@ class Row(NamedTuple):
 
     task: str
     space: str
-    setting: Setting
+    setting: RunDescription
     seeds: list[Run]
     bins: list[tuple[int, Estimate | None]]
 
@@ -164,7 +164,7 @@ def _draw(rows: Sequence[Row], path: Path) -> None:
                 ]
                 style = "--" if row.setting.algorithm == JACOBIAN else "-"
                 color, name = (
-                    ALGORITHM_COLORS[row.setting.algorithm],
+                    algorithm_color(row.setting.algorithm),
                     algorithm_title(row.setting.algorithm),
                 )
                 axes.plot(
@@ -207,8 +207,8 @@ def _as_shown(run: Run) -> bool:
     s = run.setting
     plain = (
         s.preset == "tuned"
-        and s.demonstrations == DEMONSTRATIONS
-        and not s.switches
+        and s.num_demonstrations == DEMONSTRATIONS
+        and not s.changes
         and not s.randomize
     )
     return s.space in TOLD and (plain or s.algorithm == JACOBIAN)

@@ -6,10 +6,10 @@ import re
 from collections.abc import Iterator, Mapping, Sequence
 
 from cdcsr.tables import markdown
-from training.plots.style import algorithm_title
+from training.algorithms.registry import algorithm_title
 from training.study.report.cells import COST, Cell, Table, Value, cost, measure
 from training.study.report.paper_numbers import DISTURBANCES, TABLE_2, TABLE_3, TABLE_4, Printed
-from training.study.report.records import FOLLOW, SPACES, Run, at_home, grouped
+from training.study.report.records import FOLLOW, SPACES, Run, at_home, grouped, is_plain
 from training.study.report.tables import basis, disturbed
 
 TITLE = "# The study in numbers"
@@ -39,7 +39,7 @@ def beside_paper(runs: Sequence[Run], expected: Expected | None) -> Iterator[Tab
         runs: of the study.
         expected: the runs of each experiment, to find the one that a run is from.
     """
-    chosen = [run for run in runs if run.setting.plain and run.setting.backend == ENGINE]
+    chosen = [run for run in runs if is_plain(run.setting) and run.setting.backend == ENGINE]
     expected = expected or {}
     batd3 = [run for run in chosen if run.setting.algorithm == "batd3"]
 

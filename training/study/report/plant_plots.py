@@ -12,12 +12,14 @@ from numpy.typing import NDArray
 
 from cdcsr.plots import SOFT, drawn
 from cdcsr.simulation.engines import engine_title
+from training.algorithms.registry import algorithm_color
+from training.config.run_description import RunDescription
 from training.measure.plant_axes import AXES
 from training.measure.statistics import Sweep, wilson
 from training.study.report.cells import amount, who
-from training.study.report.learning_curves import ALGORITHM_COLORS, legend, tidy
+from training.study.report.learning_curves import legend, tidy
 from training.study.report.plant_sweeps import sweeps
-from training.study.report.records import SPACES, Run, Setting, grouped
+from training.study.report.records import SPACES, Run, grouped
 from training.study.report.tables import engines_of
 
 Array = NDArray[np.float64]
@@ -141,7 +143,7 @@ def common(seeds: Sequence[Sweep]) -> tuple[Array, Array]:
     return np.array(levels), np.array(counts)
 
 
-def _draw_sweeps(found: dict[str, dict[Setting, list[Sweep]]], path: Path) -> None:
+def _draw_sweeps(found: dict[str, dict[RunDescription, list[Sweep]]], path: Path) -> None:
     columns = min(_COLUMNS, len(found))
     rows = -(-len(found) // columns)
     with drawn(path, (2.7 * columns + 0.4, 2.3 * rows + 0.7), "constrained") as figure:
@@ -154,7 +156,7 @@ def _draw_sweeps(found: dict[str, dict[Setting, list[Sweep]]], path: Path) -> No
             for setting, seeds in groups.items():
                 levels, counts = common(seeds)
                 bounds = np.array([wilson(int(s), int(n)) for s, n in counts]).reshape(-1, 2)
-                color = ALGORITHM_COLORS.get(setting.algorithm, SOFT)
+                color = algorithm_color(setting.algorithm)
                 axes.fill_between(levels, *bounds.T, color=color, alpha=0.12, lw=0)
                 line = {
                     "color": color,
@@ -189,7 +191,7 @@ def _factors(axes: Axes) -> None:
 
 def _followed(
     axes: Axes,
-    setting: Setting,
+    setting: RunDescription,
     group: Sequence[Run],
     engine: str,
     motion: str,
@@ -206,7 +208,7 @@ def _followed(
                 samples.setdefault(int(step), []).append(factor * float(value))
     if samples:
         steps = sorted(samples)
-        color = ALGORITHM_COLORS.get(setting.algorithm, SOFT)
+        color = algorithm_color(setting.algorithm)
         low, high = np.array([np.quantile(samples[step], (0.05, 0.95)) for step in steps]).T
         axes.fill_between(steps, low, high, color=color, alpha=0.12, lw=0)
         axes.plot(

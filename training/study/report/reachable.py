@@ -17,6 +17,9 @@ from training.study.report.records import (
     Run,
     at_home,
     grouped,
+    is_of_paper,
+    is_plain,
+    is_usual,
 )
 from training.study.report.tables import basis
 
@@ -28,7 +31,7 @@ _HEAD = ("space", "reachable", *TRAINED, "κ of reachable", "length over the dem
 def beside_demonstrator(runs: Sequence[Run]) -> Table:
     """Success on the held-out targets that somebody reaches in time, and lengths of episodes relative to the
     demonstrator's, in the space and engine of training."""
-    chosen = [run for run in runs if run.setting.usual]
+    chosen = [run for run in runs if is_usual(run.setting)]
     rows: list[list[Value]] = []
     for space in SPACES:
         known = reachable(runs, space)
@@ -77,8 +80,8 @@ def _found(runs: Sequence[Run], space: str) -> Iterator[Episodes]:
     """The undisturbed episodes of each of those runs, in any engine."""
     for run in runs:
         if (
-            run.setting.of_paper
-            and run.setting.demonstrations == DEMONSTRATIONS
+            is_of_paper(run.setting)
+            and run.setting.num_demonstrations == DEMONSTRATIONS
             and "nominal" in run.evaluations
         ):
             yield run.evaluations["nominal"].where(space=space)
@@ -120,7 +123,11 @@ def _soonest(runs: Sequence[Run], space: str, known: NDArray[np.int64]) -> list[
 
 def _demonstrator(runs: Sequence[Run], backend: str, space: str) -> Episodes | None:
     for run in runs:
-        if run.setting.algorithm == JACOBIAN and run.setting.plain and "nominal" in run.evaluations:
+        if (
+            run.setting.algorithm == JACOBIAN
+            and is_plain(run.setting)
+            and "nominal" in run.evaluations
+        ):
             return run.evaluations["nominal"].where(backend=backend, space=space)
     return None
 

@@ -14,9 +14,9 @@ from numpy.typing import NDArray
 
 from cdcsr.errors import CdcsrError
 from cdcsr.files import read_json
-from training.plots.style import ALGORITHMS
+from training.algorithms.registry import algorithm_order
+from training.config.run_description import SCRIPTED, RunDescription
 from training.run.metrics import read_metrics
-from training.study.declare.run_spec import SCRIPTED
 
 Array = NDArray[np.float64]
 
@@ -30,57 +30,43 @@ REACH, FOLLOW = "reach", "follow"
 """The paper's task, and the evaluation whose file has a row for each step."""
 
 
-@dataclass(frozen=True)
-class Setting:
-    """Everything a run is, but its seed. Runs of equal settings are seeds of one another."""
+def order(setting: RunDescription) -> tuple[object, ...]:
+    """Return a key for sorting: algorithms in the order of their list, then the rest."""
+    changes = tuple((name, plain_text(value)) for name, value in setting.changes)
+    return (
+        algorithm_order(setting.algorithm),
+        setting.algorithm,
+        setting.preset,
+        changes,
+        setting.randomize,
+        setting.num_demonstrations,
+        setting.updates,
+        setting.backend,
+        setting.space,
+        setting.task,
+    )
 
-    algorithm: str
-    preset: str
-    backend: str
-    """The engine it was trained in."""
-    space: str
-    """The space it was trained in."""
-    task: str
-    demonstrations: int
-    updates: int
-    randomize: float
-    """Scale of the randomization of the plant in training; 0 for none."""
-    switches: tuple[tuple[str, str], ...]
-    """Fields of the learner that differ from the preset, with their values."""
 
-    @property
-    def order(self) -> tuple[Any, ...]:
-        """For sorting: algorithms as they are listed, then the rest."""
-        names = list(ALGORITHMS)
-        place = names.index(self.algorithm) if self.algorithm in names else len(names)
-        return (
-            place,
-            self.algorithm,
-            self.preset,
-            self.switches,
-            self.randomize,
-            self.demonstrations,
-            self.updates,
-            self.backend,
-            self.space,
-            self.task,
-        )
+def is_plain(setting: RunDescription) -> bool:
+    """Return whether a run is as in the paper: its task, a space of its, ten demonstrations, the
+    algorithm's own numbers and no randomization."""
+    return is_usual(setting) and not setting.changes
 
-    @property
-    def plain(self) -> bool:
-        """As the paper has it: its task and spaces, ten demonstrations, nothing switched, plants not randomized."""
-        return self.usual and not self.switches
 
-    @property
-    def usual(self) -> bool:
-        """The same, but for what may be switched in the learner."""
-        shown = self.demonstrations == DEMONSTRATIONS or self.algorithm == JACOBIAN
-        return self.of_paper and shown and not self.randomize
+def is_usual(setting: RunDescription) -> bool:
+    """Return whether a run is as in the paper, but for changed numbers of the learner."""
+    shown = setting.num_demonstrations == DEMONSTRATIONS or setting.algorithm == JACOBIAN
+    return is_of_paper(setting) and shown and not setting.randomize
 
-    @property
-    def of_paper(self) -> bool:
-        """The paper's task in one of its spaces."""
-        return self.task == REACH and self.space in SPACES
+
+def is_of_paper(setting: RunDescription) -> bool:
+    """Return whether a run is of the paper's task in one of its spaces."""
+    return setting.task == REACH and setting.space in SPACES
+
+
+def plain_text(value: object) -> str:
+    """Write a changed number of a learner as in tables."""
+    return value if isinstance(value, str) else json.dumps(value)
 
 
 @dataclass(frozen=True)
@@ -114,7 +100,7 @@ class Run:
     """A finished run."""
 
     name: str
-    setting: Setting
+    setting: RunDescription
     seed: int | None
     budget: str | None
     """Name of the amounts it was run with, if it tells."""
@@ -148,17 +134,17 @@ def load_study(folder: Path) -> list[Run]:
     return [_load_run(path.parent) for path in sorted(folder.glob("*/run.json"))]
 
 
-def grouped(runs: Iterable[Run], *ignore: str) -> dict[Setting, list[Run]]:
+def grouped(runs: Iterable[Run], *ignore: str) -> dict[RunDescription, list[Run]]:
     """Runs by their settings, in the order of tables; the settings' fields in `ignore` are left out of account.
 
     Args:
         runs: any.
         ignore: names of text fields of the settings; they are empty in the keys.
     """
-    groups: dict[Setting, list[Run]] = {}
+    groups: dict[RunDescription, list[Run]] = {}
     for run in runs:
         groups.setdefault(replace(run.setting, **dict.fromkeys(ignore, "")), []).append(run)
-    return dict(sorted(groups.items(), key=lambda item: item[0].order))
+    return dict(sorted(groups.items(), key=lambda item: order(item[0])))
 
 
 def at_home(runs: Sequence[Run], space: str) -> list[Run]:
@@ -171,21 +157,9 @@ def _load_run(folder: Path) -> Run:
     path = folder / "run.json"
     data = read_json(path)
     try:
-        spec = data["spec"]
-        setting = Setting(
-            algorithm=str(spec["algorithm"]),
-            preset=str(spec["preset"] or "-"),
-            backend=str(spec["backend"]),
-            space=str(spec["space"]),
-            task=str(spec["task"]),
-            demonstrations=int(spec["demonstrations"] or 0),
-            updates=int(spec["updates"] or 0),
-            randomize=float(spec["randomize"]),
-            switches=tuple(
-                sorted((name, _plain(value)) for name, value in (spec["switches"] or {}).items())
-            ),
-        )
-        seed = spec["seed"]
+        described = {name: value for name, value in data["spec"].items() if name != "budget"}
+        description = RunDescription.from_dict(described)
+        setting = replace(description, seed=0)
         evaluations = {
             file.stem: read_episodes(file)
             for file in sorted(folder.glob("*.csv"))
@@ -195,8 +169,8 @@ def _load_run(folder: Path) -> Run:
         return Run(
             name=folder.name,
             setting=setting,
-            seed=None if seed is None else int(seed),
-            budget=spec.get("budget"),
+            seed=description.seed,
+            budget=data["spec"].get("budget"),
             minutes=float(data["minutes"] or 0),
             updates=int(data["updates"] or 0),
             environment_steps=int(data["environment_steps"] or 0),
@@ -287,7 +261,3 @@ def _read_columns(path: Path, kinds: Mapping[str, Callable[[str], Any]]) -> dict
         raise CdcsrError(
             f"{path} has a row that does not fit its columns ({error}); make it again."
         ) from None
-
-
-def _plain(value: Any) -> str:
-    return value if isinstance(value, str) else json.dumps(value)

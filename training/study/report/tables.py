@@ -11,9 +11,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cdcsr.simulation.engines import backend_names, engine_title
+from training.algorithms.registry import algorithm_title
 from training.measure.plant_axes import AXES, Axis
 from training.measure.statistics import Sweep, disagreement, halving, rate
-from training.plots.style import algorithm_title
 from training.study.declare.grid import ABLATIONS, AROUND, COUNTS
 from training.study.declare.learner_changes import GENERAL, OURS, PUT_BACK, RAISED
 from training.study.report.cells import (
@@ -37,6 +37,9 @@ from training.study.report.records import (
     Run,
     at_home,
     grouped,
+    is_of_paper,
+    is_plain,
+    is_usual,
 )
 
 COMPARED = ("bc", "batd3", OURS, "td3wd", "rbl", "td3", "her", "rlpd", "drldr", JACOBIAN)
@@ -48,16 +51,14 @@ ANYBODY = "any run"
 ALL_COUNTS = tuple(sorted((*COUNTS, DEMONSTRATIONS)))
 SIDES: tuple[Literal["below", "above"], ...] = ("below", "above")
 _GENERAL, _PUT_BACK, _RAISED = (
-    [tuple((name, str(value).lower()) for name, value in sorted(switches)) for switches in several]
-    for several in (GENERAL, PUT_BACK, RAISED)
+    [tuple(sorted(changes)) for changes in several] for several in (GENERAL, PUT_BACK, RAISED)
 )
-"""As settings have them."""
 _RESULT = ("κ", "IQM of κ", "l_epi")
 
 
 def comparison(runs: Sequence[Run]) -> Table:
     """Table II: every algorithm in the space and engine it was trained in."""
-    chosen = [run for run in runs if run.setting.plain]
+    chosen = [run for run in runs if is_plain(run.setting)]
     rows = [row for space in SPACES for row in _home_rows(chosen, space, COMPARED)]
     return Table(
         "table2", "Table II: comparison", basis(chosen), ("space", *TRAINED, *_RESULT, *COST), rows
@@ -66,7 +67,7 @@ def comparison(runs: Sequence[Run]) -> Table:
 
 def ablation(runs: Sequence[Run]) -> Table:
     """Fig. 4 in numbers: BATD3 without each of its parts."""
-    chosen = [run for run in runs if run.setting.plain and run.setting.algorithm in ABLATIONS]
+    chosen = [run for run in runs if is_plain(run.setting) and run.setting.algorithm in ABLATIONS]
     rows = [row for space in SPACES for row in _home_rows(chosen, space, ABLATIONS)]
     note = f"{basis(chosen)} Without ensemble, the preset `paper` has TD3's two critics left, and `tuned` a single one."
     return Table("ablation", "Ablations of BATD3", note, ("space", *TRAINED, *_RESULT, *COST), rows)
@@ -82,23 +83,23 @@ def own_ablation(runs: Sequence[Run]) -> Table:
 
 def variants(runs: Iterable[Run]) -> list[Run]:
     """Runs with switches in the paper's spaces, and those of the same algorithm there without."""
-    own = [run for run in runs if run.setting.usual and run.setting.preset == "tuned"]
+    own = [run for run in runs if is_usual(run.setting) and run.setting.preset == "tuned"]
     # What is for every method Table III has; what is put back has a table of its own.
-    own = [run for run in own if run.setting.switches not in _GENERAL]
+    own = [run for run in own if run.setting.changes not in _GENERAL]
     own = [
-        run for run in own if run.setting.algorithm == OURS or run.setting.switches not in _PUT_BACK
+        run for run in own if run.setting.algorithm == OURS or run.setting.changes not in _PUT_BACK
     ]
-    varied = {(run.setting.algorithm, run.setting.space) for run in own if run.setting.switches}
+    varied = {(run.setting.algorithm, run.setting.space) for run in own if run.setting.changes}
     return [run for run in own if (run.setting.algorithm, run.setting.space) in varied]
 
 
 def presets(runs: Sequence[Run]) -> Table:
     """What the preset `tuned` changes, one number after another put back to the paper's."""
     put_back = {
-        run.setting for run in runs if run.setting.usual and run.setting.switches in _PUT_BACK
+        run.setting for run in runs if is_usual(run.setting) and run.setting.changes in _PUT_BACK
     }
     put_back = {setting for setting in put_back if setting.algorithm != OURS}
-    shown = put_back | {replace(setting, switches=()) for setting in put_back}
+    shown = put_back | {replace(setting, changes=()) for setting in put_back}
     chosen = [run for run in runs if run.setting in shown]
     rows = [row for space in SPACES for row in _home_rows(chosen, space, ())]
     title = "The preset `tuned` with one number put back to the paper's"
@@ -107,14 +108,14 @@ def presets(runs: Sequence[Run]) -> Table:
 
 def raised(runs: Sequence[Run]) -> Table:
     """The paper's preset with numbers of the preset `tuned`, few first."""
-    own = [run for run in runs if run.setting.usual and run.setting.preset == "paper"]
-    spaces = {run.setting.space for run in own if run.setting.switches in _RAISED}
+    own = [run for run in runs if is_usual(run.setting) and run.setting.preset == "paper-reading"]
+    spaces = {run.setting.space for run in own if run.setting.changes in _RAISED}
     chosen, rows = [], []
     for space, switches in product((space for space in SPACES if space in spaces), ((), *_RAISED)):
         some = [
             run
             for run in own
-            if (run.setting.algorithm, run.setting.switches) == ("batd3", switches)
+            if (run.setting.algorithm, run.setting.changes) == ("batd3", switches)
         ]
         chosen += at_home(some, space)
         rows += _home_rows(at_home(some, space), space, ())
@@ -129,13 +130,13 @@ def demonstrations(runs: Sequence[Run]) -> Table:
     for setting, group in grouped(chosen).items():
         rows.append(
             [
-                setting.demonstrations,
+                setting.num_demonstrations,
                 *trained(setting),
                 *_result(group, space="anchor"),
                 *cost(group),
             ]
         )
-    have = {(run.setting.algorithm, run.setting.demonstrations) for run in chosen}
+    have = {(run.setting.algorithm, run.setting.num_demonstrations) for run in chosen}
     for algorithm in COUNTED:
         rows += [
             [count, *_nobody(algorithm)] for count in ALL_COUNTS if (algorithm, count) not in have
@@ -156,10 +157,10 @@ def counted(runs: Iterable[Run]) -> list[Run]:
     for run in runs:
         s = run.setting
         if (
-            s.of_paper
+            is_of_paper(s)
             and s.space == "anchor"
             and s.algorithm in COUNTED
-            and not s.switches
+            and not s.changes
             and not s.randomize
         ):
             found.append(run)
@@ -168,7 +169,9 @@ def counted(runs: Iterable[Run]) -> list[Run]:
 
 def generalization(runs: Sequence[Run]) -> Table:
     """Table III: trained in one space, tested in another, in its engine; also with what any method can be given."""
-    chosen = [run for run in runs if run.setting.usual and run.setting.switches in ((), *_GENERAL)]
+    chosen = [
+        run for run in runs if is_usual(run.setting) and run.setting.changes in ((), *_GENERAL)
+    ]
     chosen = [run for run in chosen if run.setting.algorithm != JACOBIAN]
     rows: list[list[Value]] = []
     for setting, group in grouped(chosen).items():
@@ -200,7 +203,7 @@ def generalization(runs: Sequence[Run]) -> Table:
 
 def robustness(runs: Sequence[Run]) -> Table:
     """Table IV: success under disturbances, in the space and engine of training; level 0 is the nominal evaluation."""
-    chosen = [run for run in runs if run.setting.usual and "disturbances" in run.evaluations]
+    chosen = [run for run in runs if is_usual(run.setting) and "disturbances" in run.evaluations]
     groups = grouped(chosen, "space")
     policies = [
         run for run in chosen if run.setting.algorithm != JACOBIAN
@@ -267,9 +270,9 @@ def transfer(runs: Sequence[Run]) -> Table:
     chosen = [
         run
         for run in runs
-        if run.setting.of_paper and run.setting.demonstrations in (0, DEMONSTRATIONS)
+        if is_of_paper(run.setting) and run.setting.num_demonstrations in (0, DEMONSTRATIONS)
     ]
-    chosen = [run for run in chosen if not run.setting.switches]
+    chosen = [run for run in chosen if not run.setting.changes]
     engines = engines_of(chosen)
     rows: list[list[Value]] = []
     for space in SPACES:
@@ -294,7 +297,7 @@ def transfer(runs: Sequence[Run]) -> Table:
 
 def tasks(runs: Sequence[Run]) -> Table:
     """Tasks and spaces past the paper, in every engine."""
-    chosen = [run for run in runs if not run.setting.of_paper]
+    chosen = [run for run in runs if not is_of_paper(run.setting)]
     engines = engines_of(chosen)
     rows: list[list[Value]] = []
     for setting, group in sorted(

@@ -11,9 +11,9 @@ import numpy as np
 
 from cdcsr.plots import drawn, short_count
 from cdcsr.simulation.engines import engine_title
-from training.plots.style import algorithm_title
+from training.algorithms.registry import algorithm_color, algorithm_title
+from training.config.run_description import RunDescription
 from training.study.report.learning_curves import (
-    ALGORITHM_COLORS,
     aligned,
     by_kind,
     caption,
@@ -21,7 +21,7 @@ from training.study.report.learning_curves import (
     legend,
     tidy,
 )
-from training.study.report.records import SPACES, Run, Setting, grouped
+from training.study.report.records import SPACES, Run, grouped, plain_text
 from training.study.report.tables import variants
 
 COLUMNS = 5
@@ -41,7 +41,7 @@ def variant_figures(runs: Sequence[Run], out: Path) -> Iterator[tuple[str, str]]
     for (preset, engine, updates), some in sorted(by_kind(variants(runs)).items()):
         for space, title in SPACES.items():
             groups = grouped(run for run in some if run.setting.space == space)
-            pairs = [(s, replace(s, switches=())) for s in groups if s.switches]
+            pairs = [(s, replace(s, changes=())) for s in groups if s.changes]
             if not pairs:
                 continue
             file = f"variants-{preset}-{space}-{engine}{f'-u{updates}' if updates else ''}.png"
@@ -58,7 +58,9 @@ def variant_figures(runs: Sequence[Run], out: Path) -> Iterator[tuple[str, str]]
 
 
 def _draw(
-    pairs: Sequence[tuple[Setting, Setting]], groups: dict[Setting, list[Run]], path: Path
+    pairs: Sequence[tuple[RunDescription, RunDescription]],
+    groups: dict[RunDescription, list[Run]],
+    path: Path,
 ) -> None:
     columns = min(COLUMNS, len(pairs))
     rows = -(-len(pairs) // columns)
@@ -67,15 +69,15 @@ def _draw(
         lowest = 1.0
         for axes, (changed, plain) in zip(grid.flat, pairs, strict=False):
             for setting, label, color in (
-                (plain, algorithm_title(plain.algorithm), ALGORITHM_COLORS[plain.algorithm]),
-                (changed, _CHANGED, ALGORITHM_COLORS["td3wd"]),
+                (plain, algorithm_title(plain.algorithm), algorithm_color(plain.algorithm)),
+                (changed, _CHANGED, algorithm_color("td3wd")),
             ):
                 group = groups.get(setting, [])
                 draw_curve(axes, setting, group, label, color, "-")
                 updates, curves = aligned(group)
                 if len(updates):
                     lowest = min(lowest, float(curves.mean(axis=0)[-1]))
-            switches = [f"{name} = {value}" for name, value in changed.switches]
+            switches = [f"{name} = {plain_text(value)}" for name, value in changed.changes]
             title = fill(f"{algorithm_title(changed.algorithm)}: {', '.join(switches)}", 34)
             axes.set_title(title, fontsize=7.5)
             axes.set_xlim(left=0)

@@ -17,13 +17,13 @@ from cdcsr.tasks.spaces import make_space
 from cdcsr.tasks.target_motion import make_motion
 from controllers.controller import Controller, Target
 from tests.support.tiny import CENTERS, untrained_policy
+from training.config.run_description import RunDescription
 from training.config.seeds import TEST_SEED
 from training.measure import evaluation
 from training.measure import following as following
 from training.measure.evaluation import Result
 from training.measure.following import Following, follow
 from training.policy import Policy
-from training.study.declare.run_spec import RunSpec
 from training.study.execute import evaluations
 from training.study.execute.evaluations import EVALUATIONS, Subject
 from training.study.report.paper_numbers import TABLE_4
@@ -75,7 +75,11 @@ def measured(monkeypatch: pytest.MonkeyPatch) -> Measured:
 def test_disturbances_are_table_4s_one_at_a_time_where_the_run_was_trained(
     measured: Measured, policy: Policy
 ) -> None:
-    subject = Subject(RunSpec("batd3", backend="pybullet", space="floating"), policy, policy.robot)
+    subject = Subject(
+        RunDescription(algorithm="batd3", backend="pybullet", space="floating"),
+        policy,
+        policy.robot,
+    )
     rows = list(EVALUATIONS["disturbances"].measure(subject, 2))
     cells = list(dict.fromkeys((row[2], float(row[3])) for row in rows))
     assert {*cells} | {(axis, 0.0) for axis, _ in cells} == {
@@ -98,7 +102,11 @@ def test_disturbances_are_table_4s_one_at_a_time_where_the_run_was_trained(
 def test_a_policy_is_measured_as_it_acts_on_the_held_out_targets(
     name: str, measured: Measured, policy: Policy
 ) -> None:
-    subject = Subject(RunSpec("batd3", backend="pybullet", space="floating"), policy, policy.robot)
+    subject = Subject(
+        RunDescription(algorithm="batd3", backend="pybullet", space="floating"),
+        policy,
+        policy.robot,
+    )
     list(EVALUATIONS[name].measure(subject, 2))
     assert measured.asked
     for asked in measured.asked:
@@ -120,7 +128,7 @@ def test_only_reaching_in_a_space_of_the_paper_is_tested_in_all_of_them(
 ) -> None:
     rows = list(
         EVALUATIONS["nominal"].measure(
-            Subject(RunSpec("bc", space=space, task=task), policy, policy.robot), 1
+            Subject(RunDescription(algorithm="bc", space=space, task=task), policy, policy.robot), 1
         )
     )
     assert {(asked["backend"], asked["space"]) for asked in measured.asked} == {
@@ -135,7 +143,7 @@ def test_only_reaching_in_a_space_of_the_paper_is_tested_in_all_of_them(
 def test_what_was_measured_is_what_is_read(
     measured: Measured, policy: Policy, tmp_path: Path
 ) -> None:
-    subject = Subject(RunSpec("batd3", space="anchor"), policy, policy.robot)
+    subject = Subject(RunDescription(algorithm="batd3", space="anchor"), policy, policy.robot)
     EVALUATIONS["disturbances"].write(tmp_path / "disturbances.csv", subject, 6)
     found = read_episodes(tmp_path / "disturbances.csv")
     assert len(found) == 6 * len(measured.asked)
@@ -164,7 +172,7 @@ def test_following_is_of_the_policy_in_its_space_and_read_as_it_was(
         return [Following(bound.arguments["motion"], 0, 125, 0.01, 0.002, 0.03)]
 
     monkeypatch.setattr(evaluations, "follow", followed)
-    subject = Subject(RunSpec("batd3", space="floating"), policy, policy.robot)
+    subject = Subject(RunDescription(algorithm="batd3", space="floating"), policy, policy.robot)
     EVALUATIONS["follow"].write(tmp_path / "follow.csv", subject, 100)
     columns = read_follow(tmp_path / "follow.csv")
     motions = [

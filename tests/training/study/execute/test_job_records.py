@@ -9,9 +9,9 @@ from pathlib import Path
 import pytest
 
 from tests.support.tiny import TINY_BUDGET, tiny_job
-from training.config.run_config import Train
 from training.policy import load_policy
 from training.run import trainer
+from training.run.train_options import Train
 from training.study.execute import evaluations, jobs
 from training.study.execute.evaluations import EPISODE_COLUMNS, Evaluation
 

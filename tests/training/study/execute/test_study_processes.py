@@ -17,7 +17,7 @@ import pytest
 
 from cdcsr.locks import lock
 from tests.support.tiny import TINY_BUDGET, is_held, tiny_job
-from training.study.declare.run_spec import SCRIPTED, RunSpec
+from training.config.run_description import SCRIPTED, RunDescription
 from training.study.execute import local
 from training.study.execute.evaluations import EPISODE_COLUMNS, FOLLOW_COLUMNS
 from training.study.execute.jobs import Job, environment
@@ -115,7 +115,7 @@ def test_two_jobs_side_by_side_and_one_that_fails(
         "fingerprint",
     }
     assert (record["updates"], record["environment_steps"]) == (60, 240)
-    assert record["spec"]["switches"]["hidden"] == [16, 16]
+    assert record["spec"]["changes"]["hidden"] == [16, 16]
     with (folder / "nominal.csv").open() as file:
         rows = list(csv.DictReader(file))
     assert tuple(rows[0]) == EPISODE_COLUMNS
@@ -165,7 +165,7 @@ def test_a_run_that_another_process_is_at_is_left_to_it(
 ) -> None:
     monkeypatch.setattr(local, "RETRY_BUSY", 0.5)
     job, runs, results = (
-        Job(RunSpec(SCRIPTED, updates=0), ("nominal",), TINY_BUDGET),
+        Job(RunDescription(algorithm=SCRIPTED, updates=0), ("nominal",), TINY_BUDGET),
         tmp_path / "runs",
         tmp_path / "out",
     )

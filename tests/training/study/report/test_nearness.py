@@ -14,9 +14,9 @@ from cdcsr.robot.description import load_robot
 from controllers.demonstrations import record
 from controllers.jacobian import JacobianController
 from tests.support.small_study import find, nominal, write_run
+from training.algorithms.registry import ALGORITHMS
 from training.config.seeds import TEST_SEED
 from training.study.report import nearness as module
-from training.study.report.learning_curves import ALGORITHM_COLORS
 from training.study.report.nearness import distances, near_and_far, nearness, nearness_figures
 from training.study.report.records import load_study
 
@@ -115,7 +115,8 @@ def test_a_figure_shows_the_methods_of_one_engine_and_length(study: Path, tmp_pa
     picture = imageio.imread(tmp_path / file)[..., :3]
     seen = {
         name
-        for name, color in ALGORITHM_COLORS.items()
-        if (picture == ImageColor.getrgb(color)).all(axis=2).sum() > 20
+        for name, entry in ALGORITHMS.items()
+        if not entry.ablation
+        if (picture == ImageColor.getrgb(entry.color)).all(axis=2).sum() > 20
     }
     assert seen - {"drldr"} == {"batd3", "bc"}  # its colour is that of text

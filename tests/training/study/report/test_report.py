@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import json
 import re
-import subprocess
-import sys
 from pathlib import Path
 from typing import Any
 
@@ -394,15 +392,3 @@ def test_nothing_to_report(tmp_path: Path) -> None:
     with pytest.raises(CdcsrError, match="no finished run"):
         report(results=tmp_path, out=tmp_path / "out")
     assert not (tmp_path / "out").exists()
-
-
-def test_no_torch_is_needed(study: Path, tmp_path: Path) -> None:
-    code = (
-        "import sys; from pathlib import Path; from training.report import report; "
-        f"report(results=Path({str(study)!r}), out=Path({str(tmp_path / 'out')!r})); "
-        "print('torch' in sys.modules)"
-    )
-    done = subprocess.run(
-        [sys.executable, "-c", code], capture_output=True, text=True, check=True, cwd=Path.cwd()
-    )
-    assert done.stdout.splitlines()[-1] == "False"

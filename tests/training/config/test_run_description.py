@@ -1,0 +1,44 @@
+"""The description of a run: its names, its plain data, what it may be."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+
+import pytest
+
+from cdcsr.errors import CdcsrError
+from training.config.run_description import RunDescription
+
+
+def test_a_name_says_what_the_run_is() -> None:
+    run = RunDescription(algorithm="td3", num_demonstrations=5, updates=77, seed=2)
+    assert run.name == "td3-tuned_anchor_mujoco_d5_u77_s2"
+    run = replace(run, task="quiet", randomize=0.5, changes=(("hidden", (8, 8)), ("critics", 3)))
+    assert run.name.endswith("_s2_quiet_r0.5_critics=3_hidden=8x8")
+
+
+def test_plain_data_bring_it_back() -> None:
+    run = RunDescription(space="spatter", seed=3, changes=(("hidden", (8, 8)), ("practice", 0.3)))
+    assert RunDescription.from_dict(json.loads(json.dumps(run.as_dict()))) == run
+
+
+def test_an_older_record_is_read() -> None:
+    older = {"algorithm": "bc", "preset": "paper", "demonstrations": 5, "switches": {"critics": 3}}
+    run = RunDescription.from_dict(older)
+    assert (run.preset, run.num_demonstrations) == ("paper-reading", 5)
+    assert run.changes == (("critics", 3),)
+
+
+@pytest.mark.parametrize(
+    ("data", "message"),
+    [
+        ({"colour": "red"}, "colour"),
+        ({"preset": "fast"}, "Unknown preset 'fast'"),
+        ({"seed": 2**64}, r"seed must lie in \[0, 2\^63\)"),
+        ({"num_demonstrations": -1}, "num_demonstrations must not be negative"),
+    ],
+)
+def test_what_cannot_be_a_run_is_refused(data: dict[str, object], message: str) -> None:
+    with pytest.raises(CdcsrError, match=message):
+        RunDescription.from_dict(data)

@@ -1,0 +1,147 @@
+"""One training run, described once: for the trainer, the study's grid, its records and its tables."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, fields
+from pathlib import Path
+from typing import Literal, cast, get_args
+
+from tyro.conf import Suppress
+
+from cdcsr.errors import CdcsrError, unknown_choice
+from training.config.seeds import EVALUATION_SEEDS
+
+PresetName = Literal["paper-reading", "tuned"]
+"""`paper-reading` fills the gaps of the BATD3 paper with our reading of it: the paper does not print
+the numbers of updates and of environment steps, updates for each step, exploration noise, the action
+rate, updates and rollouts of the clone, Anchor's place and size, the demonstrator, the servo, the
+slider or the cables' radius. `tuned` is what learns well here."""
+RENAMED = {"paper": "paper-reading"}
+"""Names of presets in older files."""
+SCRIPTED = "jacobian"
+"""The algorithm of a run that trains nothing: the scripted demonstrator."""
+Changes = tuple[tuple[str, object], ...]
+"""Changed numbers of a learner: (name, value) for each."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class RunDescription:
+    """What is trained, in which engine, for which task, and from which seed."""
+
+    algorithm: str = "batd3"
+    """The method that learns."""
+    preset: PresetName = "tuned"
+    """Where the learner's numbers come from; each can be set with --learner.NAME."""
+    backend: str = "mujoco"
+    """The engine to train in."""
+    robot: str = "paper"
+    """The name of a shipped robot, or a path that ends in .toml."""
+    space: str = "anchor"
+    """Where targets lie: anchor, floating, spatter, workspace, or a map from `cdcsr workspace`."""
+    task: str = "reach"
+    """The task: reach, precise, quiet, capture, capture-drift, capture-tumble, follow-line, ..."""
+    frame_skip: int = 1
+    """Simulation steps for which each action is held."""
+    randomize: float = 0.0
+    """Domain randomization: every training episode has a plant of its own, drawn from the ranges of
+    `cdcsr.simulation.randomization` times this scale; 0 is off."""
+    demonstrations: Path | None = None
+    """A dataset from `cdcsr demonstrate`; by default demonstrations are recorded, with seed 0."""
+    num_demonstrations: int = 10
+    """How many demonstrations are recorded if no dataset is given."""
+    seed: int = 0
+    """Seed of everything random in the run but the demonstrations."""
+    updates: Suppress[int] = 0
+    """Length of training; 0 is the preset's."""
+    changes: Suppress[Changes] = ()
+    """Numbers of the learner that differ from the algorithm's own, in the order of their names."""
+
+    def __post_init__(self) -> None:
+        if self.preset not in get_args(PresetName):
+            raise CdcsrError(unknown_choice("preset", self.preset, get_args(PresetName)))
+        if not 0 <= self.seed < 2**63:
+            raise CdcsrError(f"seed must lie in [0, 2^63), found {self.seed}.")
+        if self.seed in EVALUATION_SEEDS:
+            what = EVALUATION_SEEDS[self.seed]
+            raise CdcsrError(f"seed {self.seed} draws the {what}; give another seed.")
+        if self.num_demonstrations < 0:
+            raise CdcsrError(
+                f"num_demonstrations must not be negative, found {self.num_demonstrations}."
+            )
+        object.__setattr__(self, "changes", tuple(sorted(self.changes)))
+
+    @property
+    def trains(self) -> bool:
+        """Whether there is anything to train."""
+        return self.algorithm != SCRIPTED
+
+    @property
+    def name(self) -> str:
+        """The name of the run in the study: it says what the run is, and no two runs share one."""
+        parts = [
+            f"{self.algorithm}-{self.preset}",
+            self.space,
+            self.backend,
+            f"d{self.num_demonstrations}",
+            f"u{self.updates}",
+            f"s{self.seed}",
+        ]
+        if self.task != "reach":
+            parts.append(self.task)
+        if self.randomize:
+            parts.append(f"r{self.randomize:g}")
+        return "_".join([*parts, *(f"{name}={in_a_name(value)}" for name, value in self.changes)])
+
+    def policy_name(self, algorithm: str, changes: Changes) -> str:
+        """Return the name of a policy of this run.
+
+        Args:
+            algorithm: the run's, or "bc" for its clone.
+            changes: those of the learner's numbers that the policy depends on.
+        """
+        where = self.space if self.task == "reach" else f"{self.task}-{self.space}"
+        parts = [algorithm, self.preset, where, self.backend, f"s{self.seed}"]
+        return "-".join([*parts, *(f"{name}={in_a_name(value)}" for name, value in changes)])
+
+    def as_dict(self) -> dict[str, object]:
+        """Return plain data that :meth:`from_dict` reads."""
+        data = {one.name: getattr(self, one.name) for one in fields(RunDescription)}
+        dataset = None if self.demonstrations is None else str(self.demonstrations)
+        return {**data, "demonstrations": dataset, "changes": dict(self.changes)}
+
+    @classmethod
+    def from_dict(cls, data: dict[str, object]) -> RunDescription:
+        """Read what :meth:`as_dict` gave, also after a way through JSON.
+
+        Older records call the changes `switches`, and have the number of demonstrations where the
+        dataset stands now.
+
+        Raises:
+            CdcsrError: it is something else.
+        """
+        try:
+            values = {"preset": "tuned", **data}
+            changes: dict[str, object] = {}
+            for name in ("changes", "switches"):
+                changes |= cast(dict[str, object], values.pop(name, None) or {})
+            dataset = values.pop("demonstrations", None)
+            if isinstance(dataset, int):
+                values["num_demonstrations"], dataset = dataset, None
+            values["preset"] = RENAMED.get(str(values["preset"]), values["preset"])
+            return RunDescription(
+                **values,  # type: ignore[arg-type]
+                demonstrations=None if dataset is None else Path(str(dataset)),
+                changes=tuple(
+                    (name, tuple(value) if isinstance(value, list) else value)
+                    for name, value in changes.items()
+                ),
+            )
+        except (ValueError, TypeError) as error:
+            raise CdcsrError(f"{data!r} does not describe a run: {error}.") from None
+
+
+def in_a_name(value: object) -> str:
+    """Write a number of the learner as it stands in a name."""
+    if isinstance(value, tuple):
+        return "x".join(in_a_name(item) for item in value)
+    return f"{value:g}" if isinstance(value, float) else str(value).lower()

@@ -1,0 +1,178 @@
+"""What a training run needs before it learns: checks, environments, demonstrations, policies."""
+
+from __future__ import annotations
+
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+
+from cdcsr.envs.gym_env import TaskVectorEnv
+from cdcsr.errors import CdcsrError
+from cdcsr.robot.description import Robot, load_robot
+from cdcsr.simulation.engines import load_backend
+from cdcsr.simulation.randomization import check_scale
+from cdcsr.tasks.catalogue import actions_per_episode, make_task
+from cdcsr.tasks.spaces import demonstration_space, make_space
+from cdcsr.tasks.symmetry import images
+from cdcsr.tasks.task import Reward, Task
+from controllers import demonstrations
+from controllers.jacobian import JacobianController
+from controllers.rollout import Episode
+from training.algorithms.registry import find_algorithm
+from training.algorithms.td3 import BackboneNumbers
+from training.config.learner import Practising
+from training.config.seeds import VALIDATION_SEED
+from training.measure.evaluation import Result, evaluate
+from training.networks.actor import Actor
+from training.networks.bfloat16 import has_fast_bfloat16
+from training.policy import Policy
+from training.run.train_options import Train
+
+Array = NDArray[np.float64]
+
+
+class Setup:
+    """The parts of a training run. Making one checks the options; nothing is simulated.
+
+    Args:
+        config: the run.
+
+    Raises:
+        CdcsrError: the options do not fit together, or do not fit the robot or the task.
+    """
+
+    def __init__(self, config: Train) -> None:
+        self.config, self.learner = config, config.learner
+        self.robot: Robot = load_robot(config.robot)
+        load_backend(config.backend)
+        make_space(config.space, self.robot)
+        kind = find_algorithm(config.algorithm).learner
+        self.reward: Reward = "sparse" if kind is None else kind.reward
+        self._check(make_task(config.task))
+
+    def _check(self, task: Task) -> None:
+        config, learner = self.config, self.learner
+        actions = actions_per_episode(task.max_steps, config.frame_skip)
+        if learner.symmetry and len(images(self.robot)) == 1:
+            raise CdcsrError(
+                f"symmetry must be off: the cables of {self.robot.name!r} have no mirror image."
+            )
+        if config.randomize:
+            check_scale(config.randomize)
+        if not isinstance(learner, Practising):
+            if config.randomize:
+                raise CdcsrError(
+                    f"randomize must be 0 for {config.algorithm}, which collects no episodes, not "
+                    f"{config.randomize:g}."
+                )
+            return
+        if learner.discount == 1 and not task.ends:
+            raise CdcsrError(
+                f"discount must be below 1 for {config.task!r}, which pays for every action on "
+                "target."
+            )
+        if learner.capacity < (least := max(learner.batch_size, actions + 1)):
+            raise CdcsrError(
+                f"capacity must be at least {least}, a batch and an episode, not "
+                f"{learner.capacity}."
+            )
+        if isinstance(learner, BackboneNumbers) and learner.bfloat16 and not has_fast_bfloat16():
+            raise CdcsrError("bfloat16 must be off: this processor multiplies no faster in it.")
+
+    def identity(self) -> dict[str, object]:
+        """Return all that must be the same for the run to be resumed."""
+        given = self.config.demonstrations is not None
+        digest = demonstrations.digest(self.episodes) if given else None
+        return self.config.identity(self.robot.fingerprint, digest)
+
+    @cached_property
+    def episodes(self) -> list[Episode]:
+        """The demonstrations: those of the dataset, or recorded now, with seed 0."""
+        config = self.config
+        if config.demonstrations is not None:
+            return demonstrations.load(
+                config.demonstrations, self.robot.fingerprint, config.frame_skip, config.task
+            )
+        num = config.num_demonstrations
+        print(f"Recording {num} demonstrations in {config.backend} (seed 0)", flush=True)
+        space = demonstration_space(config.space)
+        env = self.environment(num, space, centers=None, autoreset_mode="Disabled")
+        try:
+            return demonstrations.record(JacobianController(self.robot), env, num, seed=0)[0]
+        finally:
+            env.close()
+
+    @cached_property
+    def centers(self) -> Array:
+        """The targets of the demonstrations, shape (n, 3), in [m]."""
+        return np.array([episode.target for episode in self.episodes])
+
+    def pairs(self) -> tuple[Tensor, Tensor]:
+        """Return what the demonstrator observed and its set-points in [m]."""
+        observations = np.concatenate([episode.observations[:-1] for episode in self.episodes])
+        commands = np.concatenate([episode.actions for episode in self.episodes])
+        return as_tensor(observations), as_tensor(commands)
+
+    def environment(self, num: int, space: str, **options: Any) -> TaskVectorEnv:
+        """Return `num` environments of the run's task in a space."""
+        config = self.config
+        options = {"centers": self.centers, **options} if "centers" not in options else options
+        return TaskVectorEnv(
+            num,
+            self.robot,
+            config.backend,
+            space,
+            self.reward,
+            config.frame_skip,
+            task=config.task,
+            **options,
+        )
+
+    def policy(self, actor: Actor, algorithm: str, **more: object) -> Policy:
+        """Return an actor as a policy with its card.
+
+        Args:
+            actor: the network.
+            algorithm: the run's, or "bc" for its clone.
+            more: further entries of the card.
+        """
+        config, changes = self.config, self.config.changes_of(algorithm)
+        card = {
+            "name": config.policy_name(algorithm, changes),
+            "algorithm": algorithm,
+            "preset": config.preset,
+            "backend": config.backend,
+            "task": config.task,
+            "space": config.space,
+            "seed": config.seed,
+            "frame_skip": config.frame_skip,
+            "randomize": config.randomize,
+            "demonstrations": len(self.episodes),
+            "changes": dict(changes),
+            **more,
+        }
+        return Policy(actor, self.robot, self.centers, card)
+
+    def validate(self, policy: Policy) -> Result:
+        """Measure a policy on the validation targets, in the engine and space of training."""
+        config = self.config
+        return evaluate(
+            policy,
+            self.robot,
+            config.backend,
+            config.space,
+            config.evaluate_episodes,
+            seed=VALIDATION_SEED,
+            centers=self.centers,
+            frame_skip=config.frame_skip,
+            task=config.task,
+        )
+
+
+def as_tensor(array: Array) -> Tensor:
+    """Return an array as a tensor of float32."""
+    return torch.as_tensor(array, dtype=torch.float32)

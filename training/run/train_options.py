@@ -1,0 +1,148 @@
+"""How a training run is carried out, and what its folder holds."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, fields
+from pathlib import Path
+
+from cdcsr.errors import CdcsrError
+from cdcsr.files import WorkingFolder
+from training.algorithms.registry import differences, numbers_of, own_numbers
+from training.config.learner import Cloning, Network
+from training.config.run_description import RENAMED, Changes, RunDescription
+
+RUN_FOLDER = WorkingFolder(
+    "a training run",
+    record="config.json",
+    fields=frozenset({"algorithm", "learner"}),
+    results=(
+        "summary.json",
+        "state.safetensors",
+        "metrics.csv",
+        "policy.json",
+        "policy.safetensors",
+        "tensorboard/events.*",
+        "clone/policy.json",
+    ),
+)
+_RETIRED = {
+    "final_learning_rate": 1.0,
+    "step_cost": 0.0,
+    "target_choice": "softmax",
+    "scaled_values": False,
+    "keep_successes": False,
+}
+"""Options of older versions, with the values at which they did nothing."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Train(RunDescription):
+    """A training run and how it is carried out."""
+
+    out: Path
+    """The folder of the run. To resume an interrupted run, give its folder and the same options."""
+    evaluate_every: int = 1_000
+    """Updates between evaluations on validation targets, and checkpoints; 0 for none before the
+    end."""
+    evaluate_episodes: int = 100
+    """Episodes of each evaluation."""
+    stop_after: float | None = None
+    """Stop after this many minutes; the run can be resumed."""
+    force: bool = False
+    """Begin anew in a folder that holds another run."""
+    json: Path | None = None
+    """Also write the summary to this file."""
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if self.num_demonstrations < 1:
+            raise CdcsrError(
+                f"num_demonstrations must be at least 1, not {self.num_demonstrations}."
+            )
+        if self.evaluate_episodes < 1:
+            raise CdcsrError(f"evaluate_episodes must be at least 1, not {self.evaluate_episodes}.")
+        if self.evaluate_every < 0:
+            raise CdcsrError(f"evaluate_every must not be negative, found {self.evaluate_every}.")
+        if self.stop_after is not None and not self.stop_after >= 0:
+            raise CdcsrError(f"stop_after must be a number of minutes, not {self.stop_after}.")
+
+    @property
+    def learner(self) -> Network:
+        """The numbers of the learner.
+
+        Raises:
+            CdcsrError: the algorithm is unknown, or a changed number is not one of its own or out
+                of bounds.
+        """
+        return numbers_of(self)
+
+    def changes_of(self, algorithm: str) -> Changes:
+        """Return the changed numbers that a policy depends on, by name.
+
+        The number of updates is not among them; every policy's card has it.
+
+        Args:
+            algorithm: the run's, or "bc" for its clone, which depends on few of them.
+        """
+        own = own_numbers(self.algorithm, self.preset, self.task)
+        names = Cloning.model_fields if algorithm == "bc" else self.learner.model_dump()
+        found = differences(self.learner, own)
+        return tuple((name, value) for name, value in found if name in names and name != "updates")
+
+    def identity(self, fingerprint: str, dataset: str | None = None) -> dict[str, object]:
+        """Return, as plain data, all that must be the same for a run to be resumed.
+
+        Args:
+            fingerprint: of the robot.
+            dataset: digest of the demonstrations if a dataset is given; another dataset may have
+                come under the same name.
+        """
+        data = self.as_dict()
+        del data["changes"], data["updates"]
+        if not self.randomize:
+            del data["randomize"]  # older runs have no such option
+        data |= {"learner": self.learner.model_dump(mode="json"), "fingerprint": fingerprint}
+        return data if dataset is None else {**data, "dataset": dataset}
+
+
+def train_options(
+    run: RunDescription, out: Path, *, evaluate_every: int = 1_000, evaluate_episodes: int = 100
+) -> Train:
+    """Return how a described run is carried out in a folder."""
+    described = {one.name: getattr(run, one.name) for one in fields(RunDescription)}
+    return Train(
+        **described, out=out, evaluate_every=evaluate_every, evaluate_episodes=evaluate_episodes
+    )
+
+
+def read_older(found: dict[str, object], run: Train, path: Path) -> dict[str, object]:
+    """Return the record of a run as this version would have written it.
+
+    Older versions recorded every option of every algorithm. Options that this algorithm does not
+    read are dropped, and so are retired options at the values at which they did nothing.
+
+    Args:
+        found: the record.
+        run: the run that is asked for.
+        path: of the record, for messages.
+
+    Raises:
+        CdcsrError: the run used an option that is retired.
+    """
+    learner = found.get("learner")
+    if not isinstance(learner, dict):
+        return found
+    for name, idle in _RETIRED.items():
+        if learner.get(name, idle) != idle:
+            raise CdcsrError(
+                f"{path} is of a run with {name} = {learner[name]}, an option that this version no "
+                "longer has; finish that run with the version that began it, or give another folder."
+            )
+    if found.get("algorithm") == run.algorithm:
+        # An option that is younger than the run had the value that is its default now.
+        younger = type(run.learner)().model_dump(mode="json")
+        learner = {name: learner.get(name, value) for name, value in younger.items()}
+    usual = Train(out=path).as_dict()
+    del usual["changes"], usual["updates"], usual["randomize"]
+    preset = str(found.get("preset"))
+    return {**usual, **found, "preset": RENAMED.get(preset, preset), "learner": learner}
