@@ -40,17 +40,21 @@ _PATIENCE = 5.0
 
 
 class Pool:
-    """The stand-in for a World of `num` copies, with the same attributes and methods."""
+    """The stand-in for a World of `num` copies, with the same attributes and methods.
+
+    Attributes:
+        processes: the workers.
+    """
 
     def __init__(self, robot: Robot, num: int, workers: int) -> None:
         edges = np.linspace(0, num, workers + 1).round().astype(int)
         self._shares = [slice(int(a), int(b)) for a, b in itertools.pairwise(edges)]
         command = [sys.executable, "-c", _START, json.dumps(sys.path)]
-        self._workers = [
+        self.processes = [
             subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE)
             for _ in self._shares
         ]
-        self._end = weakref.finalize(self, _end, self._workers)
+        self._end = weakref.finalize(self, _end, self.processes)
         self.time = np.zeros(num)
         self.position = np.zeros((num, 7 + robot.num_cables + robot.num_hinges))
         self.velocity = np.zeros((num, robot.num_coordinates))
@@ -110,14 +114,14 @@ class Pool:
         index = 0
         try:
             for index, request in enumerate(requests):
-                _send(_pipe(self._workers[index].stdin), request)
+                _send(_pipe(self.processes[index].stdin), request)
             for index, share in enumerate(self._shares):
-                result, state = pickle.load(_pipe(self._workers[index].stdout))
+                result, state = pickle.load(_pipe(self.processes[index].stdout))
                 self.time[share], self.position[share] = state[:2]
                 self.velocity[share], self.tension[share] = state[2:]
                 results.append(result)
         except (EOFError, OSError, pickle.UnpicklingError):
-            worker, share = self._workers[index], self._shares[index]
+            worker, share = self.processes[index], self._shares[index]
             self.close()
             raise CdcsrError(
                 f"The PyBullet worker process of copies {share.start} to {share.stop - 1} ended "

@@ -1,4 +1,5 @@
-"""The equation of motion of every engine against finite differences, the described bodies and the closed form."""
+"""The equation of motion of every engine against finite differences, the described bodies and the
+closed form."""
 
 from __future__ import annotations
 
@@ -64,7 +65,8 @@ def test_tip_jacobian_is_the_derivative_of_the_tips_position(robot: Robot, engin
 
 
 def energy_body_by_body(robot: Robot, snapshot: Snapshot, copy: int) -> float:
-    """Kinetic energy in [J], with every body's frame and velocity found by walking out along the arm."""
+    """Kinetic energy in [J], with every body's frame and velocity found by walking out along the
+    arm."""
     cables, position, velocity = robot.num_cables, snapshot.position[copy], snapshot.velocity[copy]
     linear, angular = velocity[:3], velocity[3:6]
     frame = Rotation.from_quat(position[3:7], scalar_first=True)
@@ -141,8 +143,9 @@ def test_cable_jacobian_is_the_closed_forms(robot: Robot, engine: str) -> None:
 
 
 def test_bias_is_the_force_of_free_motion(robot: Robot, engine: str) -> None:
-    """Along a free motion M v' = -bias, so the kinetic energy's rate v.M v' + 1/2 v.M' v is zero: bias does as much
-    work as the mass matrix changes, v.bias = 1/2 v.M' v, with M' by central differences along the velocity."""
+    """Along a free motion M v' = -bias, so the kinetic energy's rate v.M v' + 1/2 v.M' v is zero:
+    bias does as much work as the mass matrix changes, v.bias = 1/2 v.M' v, with M' by central
+    differences along the velocity."""
     step, snapshot, around = 1e-5, moving(robot, 1, bend=0.5), []
     position, velocity = snapshot.position[0], snapshot.velocity[0]
     with running(robot, engine) as simulation:
@@ -153,7 +156,8 @@ def test_bias_is_the_force_of_free_motion(robot: Robot, engine: str) -> None:
     assert velocity @ around[2].bias_force[0] == pytest.approx(
         0.5 * velocity @ change @ velocity, rel=1e-6, abs=1e-6
     )
-    # No force from outside: bias is the rate of momentum that M v' has to make up for, in the base's linear rows M' v.
+    # No force from outside: bias is the rate of momentum that M v' has to make up for, in the
+    # base's linear rows M' v.
     np.testing.assert_allclose(
         around[2].bias_force[0, :3], change[:3] @ velocity, rtol=1e-6, atol=1e-6
     )

@@ -1,0 +1,25 @@
+"""The software renderer draws the robot's pose and the targets."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from backends.viewers.software import Renderer
+from cdcsr.robot.description import Robot
+from tests.support.physics import straight
+
+
+def test_pictures_show_the_pose_and_the_targets(paper: Robot) -> None:
+    position = straight(paper, 2).position
+    position[1, -paper.num_hinges :] = 0.05
+    renderer = Renderer(paper)
+    plain, bent = renderer.draw(position[0]), renderer.draw(position[1])
+    marked = renderer.draw(position[0], targets=[[0.2, 0.1, 2.45]])
+    renderer.close()
+    assert plain.shape == (640, 480, 3)
+    assert plain.dtype == np.uint8
+    assert (plain != bent).any(axis=2).sum() > 500
+    rows, columns = np.nonzero((plain != marked).any(axis=2))
+    assert 10 < len(rows) < 200
+    assert rows.mean() < 200  # high up
+    assert columns.mean() > 240  # to the right of the arm, as this camera sees it
