@@ -1,4 +1,5 @@
-"""Motions with a closed form: one link swinging on the free base, and sliders on their servos."""
+"""Motions with a closed form: one link that swings on the free base, and sliders on their
+servos."""
 
 from __future__ import annotations
 
@@ -12,7 +13,7 @@ from tests.support.physics import at, changed, running, straight
 
 
 def one_link(joint_damping: float = 0.0, servo_damping: float = 20.0, divide: int = 1) -> Robot:
-    """One link on a base of 8 kg, so light that it gives way by a lot, and different about x and about y."""
+    """Return one link on a base of 8 kg, which gives way by a lot, differently about x and y."""
     robot = load_robot("planar-single")
     segment = robot.model_dump()["segments"][0]
     parts = {
@@ -29,17 +30,19 @@ def one_link(joint_damping: float = 0.0, servo_damping: float = 20.0, divide: in
 
 
 def swinging_inertia(robot: Robot, axis: int) -> float:
-    """Moment of inertia that one hinge feels near the straight pose, in [kg m²], the free base giving way.
+    """Return the moment of inertia in [kg m²] that one hinge feels near the straight pose, while
+    the free base gives way.
 
-    In the plane across the hinge: the base with its sliders moves sideways by s and turns by f about its centre,
-    the link turns by f + q. Speeds of the centres of mass: base s', slider at height z: s' + z f', link (middle at
-    height a above the joint, the joint at t above the base's centre): s' + (t + a) f' + a q'. With the momenta of
-    s and f zero, what is left of the kinetic energy is 1/2 I q'².
+    In the plane across the hinge, the base with its sliders moves sideways by s and turns by f
+    about its centre, and the link turns by f + q. The speeds of the centres of mass are s' for the
+    base, s' + z f' for a slider at height z, and s' + (t + a) f' + a q' for the link; its middle is
+    at height a above the joint, which is at t above the base's centre. With the momenta of s and f
+    zero, what is left of the kinetic energy is 1/2 I q'².
     """
     base, servo = robot.base, robot.segments[0].servo
     link, cables = robot.segments[0].link, robot.segments[0].cables
     a, t = link.length / 2, base.size[2] / 2
-    energy = np.zeros((3, 3))  # of (s', f', q')
+    energy = np.zeros((3, 3))  # the quadratic form of (s', f', q')
 
     def body(
         mass: float,
@@ -62,9 +65,11 @@ def swinging_inertia(robot: Robot, axis: int) -> float:
 
 
 def poles(samples: Array, interval: float) -> complex:
-    """The pole -damping + i frequency, in [rad/s], of a decaying cosine sampled at equal intervals.
+    """Return the pole -damping + i frequency, in [rad/s], of a decaying cosine sampled at equal
+    intervals.
 
-    Such samples obey q[n + 2] = b q[n + 1] - c q[n] exactly (Prony); b and c by least squares.
+    Such samples obey q[n + 2] = b q[n + 1] - c q[n] exactly (Prony's method); b and c are found by
+    least squares.
     """
     (b, c), *_ = np.linalg.lstsq(
         np.column_stack([samples[1:-1], -samples[:-2]]), samples[2:], rcond=None
@@ -78,9 +83,10 @@ def poles(samples: Array, interval: float) -> complex:
 def test_a_link_swings_with_the_closed_forms_frequency_and_damping(
     engine: str, axis: int, damping: float
 ) -> None:
-    """Frequency sqrt(k / I) and damping ratio c / (2 sqrt(k I)) of a hinge spring, base recoil included.
+    """The frequency is sqrt(k / I) and the damping ratio c / (2 sqrt(k I)), recoil of the base
+    included.
 
-    Measured, with h w = 0.0025: the frequency within 7e-5, the damping ratio within 5e-5.
+    Measured with h w = 0.0025: the frequency is within 7e-5, the damping ratio within 5e-5.
     """
     robot = one_link(joint_damping=damping, divide=10)
     start, cables = straight(robot, travel=0.05), robot.num_cables
@@ -106,10 +112,12 @@ def test_a_link_swings_with_the_closed_forms_frequency_and_damping(
 def test_sliders_of_slack_cables_answer_a_step_like_mass_spring_damper(
     engine: str, damping: float
 ) -> None:
-    """All sliders together from 0.08 m to a set-point of 0.05 m; below 0 their cables would pull.
+    """All sliders move together from 0.08 m to a set-point of 0.05 m; below 0 their cables would
+    pull.
 
-    Each of the n sliders (mass m) swings against the rest of the robot (mass R), which gives way: its mass counts
-    as m R / (R + n m). Under-damped (ratio 0.16) and as shipped (3.2). The error is of first order in the step.
+    Each of the n sliders of mass m swings against the rest of the robot of mass R, which gives way,
+    so that its mass counts as m R / (R + n m). The damping ratio is 0.16 in one case, and 3.2 as
+    shipped in the other. The error is of first order in the step.
     """
     errors = []
     for divide in (1, 4):

@@ -1,4 +1,5 @@
-"""Cables pull and never push, only when taut, hardly stretch, and only pass work on from slider to joints."""
+"""Cables pull and never push, only when taut, hardly stretch, and pass all work on from the sliders
+to the joints."""
 
 from __future__ import annotations
 
@@ -12,11 +13,12 @@ from cdcsr.simulation.contract import Array, Simulation, State
 from tests.support.physics import changed, commands_of, moving, running, slack
 
 STRETCH = 0.05e-3
-"""What a cable may be longer than at rest, in [m]."""
+"""A cable may be longer than at rest by this, in [m]."""
 
 
 def pulled(robot: Robot, simulation: Simulation, seconds: float) -> Iterator[tuple[State, Array]]:
-    """Each copy pulls the cable of its number in full; the state and the slack after every step."""
+    """Pull in each copy the cable of its number in full; yield the state and the slack of every
+    step."""
     command = -np.diag([servo.eta for servo in robot.servos])
     for _ in range(round(seconds / robot.time_step)):
         simulation.step(command)
@@ -24,8 +26,8 @@ def pulled(robot: Robot, simulation: Simulation, seconds: float) -> Iterator[tup
 
 
 def test_cables_pull_only_when_taut_and_hardly_stretch(robot: Robot, engine: str) -> None:
-    """Tension times slack: in neither engine is there tension in a step that a cable begins and ends slack, but for
-    the curvature of the motion, which opens a gap of about a micrometre under 240 N."""
+    """No engine has tension in a step that a cable begins and ends slack, but for the curvature of
+    the motion, which opens a gap of about a micrometre under 240 N."""
     most = 0.0
     with running(robot, engine, robot.num_cables) as simulation:
         before = slack(robot, simulation)
@@ -38,9 +40,10 @@ def test_cables_pull_only_when_taut_and_hardly_stretch(robot: Robot, engine: str
 
 
 def test_a_moving_robot_does_not_stretch_its_cables(robot: Robot, engine: str) -> None:
-    """Full commands that jump every few steps: cables go slack and are torn taut by sliders and by the arm.
+    """Full commands jump every few steps, so that cables go slack and are torn taut by sliders and
+    arm.
 
-    Left to themselves, sliders would fly 6 mm past in a step, which is what MuJoCo's own limits let them do.
+    Unhindered, sliders would move 6 mm too far in a step, as they do with MuJoCo's own limits.
     """
     torn, most, copies = 0, 0.0, 8
     eta = np.array([servo.eta for servo in robot.servos])
@@ -57,20 +60,19 @@ def test_a_moving_robot_does_not_stretch_its_cables(robot: Robot, engine: str) -
 
 
 def test_cables_pass_on_all_the_work(robot: Robot, engine: str) -> None:
-    """What the tensions take from the sliders is what they do on the joints, along the motion really made.
+    """The work that tensions take from the sliders is the work that they do on the joints.
 
-    Work on the joints of a step is tension times the fall of the length with the slider's part left out, by the
-    difference of two lengths. What may differ is the work of stretching, 250 N times a millionth of a metre, of 4 to
-    14 J.
+    The work on the joints in a step is the tension times the fall of the length without the
+    slider's part, from the difference of two lengths. The two may differ by the work of stretching,
+    250 N times a millionth of a metre, of 4 to 14 J.
     """
     route, still = routing(robot), np.zeros((robot.num_cables, robot.num_cables))
     taken, done = np.zeros_like(still), np.zeros_like(still)
     with running(robot, engine, robot.num_cables) as simulation:
         last = simulation.state()
         for state, _ in pulled(robot, simulation, 0.4):
-            taken -= state.cable_tension * (
-                state.cable_travel - last.cable_travel
-            )  # a pull is a negative travel
+            pulled_in = last.cable_travel - state.cable_travel  # a pull is a negative travel
+            taken += state.cable_tension * pulled_in
             lengths = [cable_lengths(route, still, each.joint_angles) for each in (last, state)]
             done += state.cable_tension * (lengths[0] - lengths[1])
             last = state
@@ -80,10 +82,12 @@ def test_cables_pass_on_all_the_work(robot: Robot, engine: str) -> None:
 
 
 def test_the_tensions_reported_are_those_that_act(robot: Robot, engine: str) -> None:
-    """M qdd + bias = passive + servos - L^T tensions, for a short step from moving states with taut cables.
+    """M qdd + bias = passive + servos - L^T tensions holds in a short step from moving states with
+    taut cables.
 
-    The damping is implicit, C (v + h qdd). Rows of the base: no tension pushes it. Every cable that pulls is in the
-    check; a step of 1e-5 s leaves an error of MuJoCo's constant-in-a-step terms of about 1e-5.
+    The damping is implicit, C (v + h qdd). The rows of the base show that no tension pushes it. A
+    step of 1e-5 s leaves an error of about 1e-5 from the terms that MuJoCo holds constant in a
+    step.
     """
     robot, cables, copies = changed(robot, time_step=1e-5), robot.num_cables, 4
     start = moving(robot, copies, bend=0.1)

@@ -1,7 +1,8 @@
-"""Energy: kinetic, hinge springs, and each servo as a spring from its slider to its set-point.
+"""The energy of motion, of hinge springs, and of servos as springs from sliders to set-points.
 
-With the set-points held, nothing puts energy in: dampers take it out, ideal cables do no work, and a slack cable
-that becomes taut is an inelastic impact. Without damping and impacts it stays what it was.
+While the set-points are held, nothing adds energy: dampers take it out, ideal cables do no work,
+and a slack cable that becomes taut is an inelastic impact. Without damping and impacts it is
+conserved.
 """
 
 from __future__ import annotations
@@ -24,7 +25,8 @@ from tests.support.physics import (
 
 
 def largest_rise(coarse: Robot, engine: str, divide: int, seed: int) -> float:
-    """How far the energy ever climbs above its lowest value before, relative to the start, within 0.4 s."""
+    """Return how far the energy rises above its lowest value before, relative to the start, in 0.4
+    s."""
     robot, command = finer(coarse, divide), commands_of(coarse, 1, seed=seed)[0]
     with running(robot, engine) as simulation:
         start = lowest = energy(robot, simulation, command)[0]
@@ -39,14 +41,15 @@ def largest_rise(coarse: Robot, engine: str, divide: int, seed: int) -> float:
 
 @pytest.mark.parametrize("seed", [0, pytest.param(1, marks=pytest.mark.slow)])
 def test_under_held_commands_energy_only_falls(robot: Robot, engine: str, seed: int) -> None:
-    """It never rises at all, at the shipped step as at a quarter of it."""
+    """It never rises, neither at the shipped time step nor at a quarter of it."""
     assert max(largest_rise(robot, engine, divide, seed) for divide in (1, 4)) < 1e-12
 
 
 def gain_and_loss(
     coarse: Robot, engine: str, divide: int, position: Array, velocity: Array, command: Array
 ) -> float:
-    """Largest departure from the energy at the start, relative to it, within 0.15 s without any damping."""
+    """Return the largest change of the energy, relative to the start, in 0.15 s without any
+    damping."""
     undamped = with_parts(coarse, joint={"damping": 0.0}, servo={"damping": 0.0})
     robot, departure = finer(undamped, divide), 0.0
     with running(robot, engine) as simulation:
@@ -59,7 +62,8 @@ def gain_and_loss(
 
 
 def test_without_damping_a_moving_robot_keeps_its_energy(robot: Robot, engine: str) -> None:
-    """Base, arm and sliders in motion, all cables slack: free rigid bodies and springs. First order (measured 1.0)."""
+    """Base, arm and sliders move and all cables are slack: these are free rigid bodies and springs.
+    The error is of first order (measured 1.0)."""
     start, cables = moving(robot, 1, bend=0.05), robot.num_cables
     start.position[0, 7 : 7 + cables] = 0.05
     start.velocity[0] *= 0.3
@@ -74,9 +78,10 @@ def test_without_damping_a_moving_robot_keeps_its_energy(robot: Robot, engine: s
 
 
 def test_without_damping_taut_cables_keep_the_energy(robot: Robot, engine: str) -> None:
-    """Springs of servos and hinges and the moving arm exchange energy through taut cables, which take none.
+    """Springs of servos and hinges and the moving arm exchange energy through taut cables, which
+    take none.
 
-    At first order (measured 0.98 to 0.99).
+    The error is of first order (measured 0.98 to 0.99).
     """
     start, command = straight(robot), np.zeros((1, robot.num_cables))
     command[0, [0, -1]] = -0.3, -0.2

@@ -1,5 +1,5 @@
-"""Nothing outside pushes this robot: linear momentum, angular momentum about the centre of mass, and the straight
-path of that centre stay what they were, whatever the cables do."""
+"""No external force acts on the robot: its linear momentum, its angular momentum about the centre
+of mass, and the straight path of that centre are conserved, whatever the cables do."""
 
 from __future__ import annotations
 
@@ -10,20 +10,20 @@ from cdcsr.simulation.contract import Array
 from tests.support.physics import at, commands_of, finer, momentum, running, straight
 
 DURATION = 0.15
-"""[s]"""
+"""The time of a run, in [s]."""
 
 
 def drifting(robot: Robot) -> tuple[Array, Array]:
-    """Position and velocity of a straight robot that moves and turns as one rigid body."""
+    """Return position and velocity of a straight robot that moves and turns as one rigid body."""
     start = straight(robot)
     start.velocity[0, :6] = [0.05, -0.02, 0.03, 0.2, -0.3, 0.25]
     return start.position, start.velocity
 
 
 def drift(coarse: Robot, engine: str, divide: int) -> Array:
-    """Largest departure of both momenta, and of the centre of mass from its straight path, relative to their size.
+    """Return the largest changes of both momenta and of the centre's path, relative to their size.
 
-    Random commands at full range; the same ones in time however fine the steps.
+    Random commands act at full range, the same ones in time at every time step.
     """
     robot, largest = finer(coarse, divide), np.zeros(3)
     with running(robot, engine) as simulation:
@@ -40,7 +40,8 @@ def drift(coarse: Robot, engine: str, divide: int) -> Array:
 
 
 def test_momentum_drifts_only_by_the_integrators_error(robot: Robot, engine: str) -> None:
-    """Both integrators are of first order: the drift halves with the step (measured order 0.90 to 1.00)."""
+    """The integrators are of first order: the drift halves with the step (measured order 0.90 to
+    1.00)."""
     drifts = [drift(robot, engine, divide) for divide in (1, 2, 4)]
     assert (drifts[0] < [2e-3, 1e-3, 2e-6]).all()
     orders = np.log2(np.array(drifts[:-1]) / drifts[1:])

@@ -1,4 +1,4 @@
-"""Both engines' equation of motion against Pinocchio, which reads the robot from the exported URDF."""
+"""Both engines' equation of motion, compared with Pinocchio's, which reads the exported URDF."""
 
 from __future__ import annotations
 
@@ -22,7 +22,8 @@ pinocchio: Any = pytest.importorskip(
 
 
 def load(robot: Robot, folder: Path) -> Any:
-    """Pinocchio's model of the URDF that `cdcsr build-model` writes, on a free base, with a frame at the tip."""
+    """Return Pinocchio's model of the URDF that `cdcsr build-model` writes, on a free base, with a
+    frame at the tip."""
     write_model(robot, folder, ["pybullet"])
     model = pinocchio.buildModelFromUrdf(
         str(folder / f"{robot.name}.urdf"), pinocchio.JointModelFreeFlyer()
@@ -38,7 +39,8 @@ def load(robot: Robot, folder: Path) -> Any:
 def equation(
     robot: Robot, model: Any, position: Array, velocity: Array
 ) -> tuple[Array, Array, Array]:
-    """Mass matrix, bias force and tip Jacobian at one state, in the contract's coordinates."""
+    """Return mass matrix, bias force and tip Jacobian at one state, in the contract's
+    coordinates."""
     names = [f"slide_{c}" for c in range(robot.num_cables)]
     names += [f"hinge_{j}_{axis}" for j in range(robot.num_links) for axis in "xy"]
     order = [model.joints[model.getJointId(name)].idx_v for name in names]
@@ -53,7 +55,7 @@ def equation(
     data = model.createData()
     mass = pinocchio.crba(model, data, q)
     mass = np.triu(mass) + np.triu(mass, 1).T
-    # The rate of the change of frame: d(R^T v)/dt has, beside R^T dv/dt, the part - omega x v in the base's frame.
+    # The base's frame turns: d(R^T v)/dt is R^T dv/dt - omega x v, with omega and v in that frame.
     turning = np.zeros(model.nv)
     turning[:3] = -np.cross(v[3:6], v[:3])
     bias = pinocchio.nonLinearEffects(model, data, q, v) + mass @ turning

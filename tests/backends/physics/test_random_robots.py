@@ -1,6 +1,8 @@
-"""Any valid description becomes the same robot in every engine; any broken one is refused with its place named.
+"""Any valid description becomes the same robot in every engine; any broken one is refused with its
+place named.
 
-The fast tests draw the same few descriptions every time, so that they repeat; the slow ones draw many new ones.
+The fast tests draw the same few descriptions every time, so that they repeat; the slow ones draw
+many new ones.
 """
 
 from __future__ import annotations
@@ -39,9 +41,11 @@ def inertias(draw: st.DrawFn, scale: float) -> tuple[float, float, float]:
 
 @st.composite
 def robots(draw: st.DrawFn) -> Robot:
-    """1 to 4 segments of 1 to 10 links and 3 to 6 cables each, from centimetres to metres and grams to tonnes.
+    """1 to 4 segments of 1 to 10 links and 3 to 6 cables each, from centimetres to metres and grams
+    to tonnes.
 
-    Mass goes with size, as it does in matter: a step of half a millisecond then is short for every spring.
+    Mass goes with size, as it does in matter: a step of half a millisecond then is short for every
+    spring.
     """
     height, heavy = draw(between(0.2, 2)), draw(between(20, 2000))
     segments: list[dict[str, Any]] = []
@@ -99,7 +103,8 @@ def robots(draw: st.DrawFn) -> Robot:
 
 
 def guide_by_guide(robot: Robot, travel: Array, hinges: Array) -> Array:
-    """Length of every cable as the distances from point to point, shape (C,), in [m]; walks out along the arm."""
+    """Length of every cable as the distances from point to point, shape (C,), in [m]; walks out
+    along the arm."""
     cosine, sine = np.cos(hinges), np.sin(hinges)
     turns = np.stack([cosine[::2], sine[::2], cosine[1::2], sine[1::2]], axis=1)
     crossed = [(link.length, *turn) for (link, _), turn in zip(robot.links, turns, strict=True)]
@@ -128,7 +133,8 @@ def guide_by_guide(robot: Robot, travel: Array, hinges: Array) -> Array:
 
 
 def same_robot_in_every_engine(robot: Robot) -> None:
-    """At tilted, spinning, bent states: mass matrix, Jacobians and bias to 1e-10, cable lengths to 1e-9 m."""
+    """At tilted, spinning, bent states: mass matrix, Jacobians and bias to 1e-10, cable lengths to
+    1e-9 m."""
     snapshot, route, cables = moving(robot, 3, bend=0.5), routing(robot), robot.num_cables
     travel, hinges = snapshot.position[:, 7 : 7 + cables], snapshot.position[:, 7 + cables :]
     with running(robot, "mujoco", 3) as one, running(robot, "pybullet", 3) as other:
@@ -240,7 +246,8 @@ def wrong_numbers(draw: st.DrawFn) -> tuple[tuple[str | int, ...], object, str]:
 def refused(
     robot: Robot, place: tuple[str | int, ...], value: object, said: str, segment: int
 ) -> None:
-    """Put a wrong value into a description; its place, its line and what is wrong are in the message."""
+    """Put a wrong value into a description; its place, its line and what is wrong are in the
+    message."""
     if place[0] in ("links", "link", "joint", "cables", "servo"):
         place = ("segments", segment % robot.num_segments, *place)
     data: Any = robot.model_dump(mode="json")

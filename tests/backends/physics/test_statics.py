@@ -1,7 +1,8 @@
-"""Where the arm comes to rest, against the least potential energy and against the textbook's arc.
+"""The arm comes to rest where the potential energy is least, and in the textbook's arc.
 
-Both are computed from the description alone, with the guides' geometry built anew. Rest does not depend on masses
-or damping, so the links are made light and the dampers such that the arm settles soon.
+Both are computed from the description alone, with the geometry of the guides built anew. The pose
+at rest does not depend on masses or damping, so the links are light and the dampers such that the
+arm settles soon.
 """
 
 from __future__ import annotations
@@ -16,21 +17,23 @@ from cdcsr.simulation.contract import Array, State
 from tests.support.physics import changed, running, slack, with_parts
 
 STRETCH = 0.05e-3
-"""What a settled cable may be longer than at rest, in [m]."""
+"""A settled cable may be longer than at rest by this, in [m]."""
 
 
 def swing(robot: Robot) -> float:
-    """About the lowest frequency of the straight arm on its hinge springs in series, in [rad/s]."""
+    """Estimate the lowest frequency of the straight arm on its hinge springs in series, in
+    [rad/s]."""
     compliance = sum(1 / joint.stiffness for _, joint in robot.links)
     inertia = sum(link.mass for link, _ in robot.links) * robot.arm_length**2 / 3
     return float(np.sqrt(1 / compliance / inertia))
 
 
 def settling(robot: Robot, weight: float = 1e-2) -> Robot:
-    """The robot with lighter links, by default of a 100th of the weight, and hinge dampers that soon end its swinging.
+    """Return the robot with lighter links, by default of 1 % of the mass, and with hinge dampers
+    that soon end its swinging.
 
-    Not lighter: MuJoCo finds a limit's force for the mass matrix M but then moves by M + hC, so where damping
-    dwarfs inertia (hC over 100 times M) its cables stretch by millimetres and chatter.
+    The links are not lighter: MuJoCo computes the force of a limit with the mass matrix M and then
+    moves with M + hC, so where hC is over 100 times M cables stretch by millimetres and chatter.
     """
     segments = []
     relaxation = 1.2 * np.sqrt(weight) / swing(robot)  # 0.6 of critical damping
@@ -46,7 +49,7 @@ def settling(robot: Robot, weight: float = 1e-2) -> Robot:
 
 
 def at_rest(robot: Robot, engine: str, command: Array) -> tuple[State, Array]:
-    """The state after a long time under constant commands, and the slack of the cables."""
+    """Return the state after a long time under constant commands, and the slack of the cables."""
     with running(robot, engine, len(command)) as simulation:
         simulation.step(command, round(25 / swing(robot) / robot.time_step))
         state = simulation.state()
@@ -55,9 +58,11 @@ def at_rest(robot: Robot, engine: str, command: Array) -> tuple[State, Array]:
 
 
 def taken_in(robot: Robot, hinges: Array) -> Array:
-    """How far each slider has to rise above its rest for its cable to be at its rest length, shape (C,), in [m].
+    """Return how far each slider must rise for its cable to be at its rest length, shape (C,), in
+    [m].
 
-    Adds up the distances between the guides on either side of each joint; the rest of a cable keeps its length.
+    This adds up the distances between the guides on both sides of each joint; the rest of a cable
+    does not change its length.
     """
     turns = Rotation.from_rotvec(np.outer(hinges[::2], [1, 0, 0])) * Rotation.from_rotvec(
         np.outer(hinges[1::2], [0, 1, 0])
@@ -68,22 +73,20 @@ def taken_in(robot: Robot, hinges: Array) -> Array:
         cables = segment.cables
         for angle in np.deg2rad(cables.angles_deg):
             x, y = cables.pitch_radius * np.cos(angle), cables.pitch_radius * np.sin(angle)
-            above, below = (
-                turns[:joints].apply([x, y, cables.guide_offset]),
-                np.array([x, y, -cables.guide_offset]),
-            )
-            shortened.append(
-                np.sum(np.linalg.norm(above - below, axis=1) - 2 * cables.guide_offset)
-            )
+            above = turns[:joints].apply([x, y, cables.guide_offset])
+            below = np.array([x, y, -cables.guide_offset])
+            apart = np.linalg.norm(above - below, axis=1)
+            shortened.append(np.sum(apart - 2 * cables.guide_offset))
     return np.array(shortened)
 
 
 def least_energy(robot: Robot, command: Array) -> Array:
-    """Hinge angles of least potential energy, shape (2 J,), in [rad].
+    """Return the hinge angles of least potential energy, shape (2 J,), in [rad].
 
-    The energy is 1/2 k q² of every hinge and 1/2 g (x - command)² of every servo, with every cable at most at its
-    rest length. For given angles that is x >= taken_in(q), and the best x is the command or, where that is too low,
-    the least possible. What remains is a sum of squares in q alone.
+    The energy is 1/2 k q² of every hinge and 1/2 g (x - command)² of every servo, with every cable
+    at most at its rest length. For given angles this means x >= taken_in(q), and the best x is the
+    command or, if that is too low, the lowest possible. What remains is a sum of squares in q
+    alone.
     """
     stiffness = np.array([joint.stiffness for _, joint in robot.links for _ in "xy"])
     gain = np.array([servo.gain for servo in robot.servos])
@@ -99,7 +102,8 @@ def least_energy(robot: Robot, command: Array) -> Array:
 
 
 def check_rest(robot: Robot, engine: str, num: int, seed: int) -> None:
-    """Set-points up to 0.4 m below rest, different for each cable: bent in any plane, within the hinge limits."""
+    """Set-points are up to 0.4 m below rest and differ between cables: the arm bends in any plane,
+    within the hinge limits."""
     command = np.random.default_rng(seed).uniform(-0.4, 0.0, (num, robot.num_cables))
     state, left = at_rest(settling(robot), engine, command)
     gain = np.array([servo.gain for servo in robot.servos])
@@ -115,18 +119,19 @@ def check_rest(robot: Robot, engine: str, num: int, seed: int) -> None:
 
 @pytest.mark.parametrize("name", ["planar-single", "paper"])
 def test_a_settled_arm_has_the_least_potential_energy(name: str, engine: str) -> None:
-    """One and two segments. Measured: within 2e-6 rad and 2e-4 N in both engines."""
+    """Robots of one and of two segments; measured within 2e-6 rad and 2e-4 N in both engines."""
     check_rest(load_robot(name), engine, num=1, seed=0)
 
 
 @pytest.mark.slow
 def test_every_settled_arm_has_the_least_potential_energy(robot: Robot, engine: str) -> None:
-    """More commands, and the other robots; measured within 6e-5 rad (what is left of the swinging)."""
+    """More commands and all robots; measured within 6e-5 rad, the rest of the swinging."""
     check_rest(robot, engine, num=4, seed=1)
 
 
 def test_a_settled_cable_at_full_command_keeps_its_length(engine: str) -> None:
-    """The whole pull of a servo, 250 N; on hinges ten times as stiff, which keep the arm off its hinge limits."""
+    """A servo pulls with its full 250 N. The hinges are ten times as stiff, so that the arm does
+    not reach its hinge limits."""
     robot = with_parts(load_robot("planar-single"), joint={"stiffness": 20.0})
     command = np.diag([-servo.eta for servo in robot.servos])[:1]
     state, left = at_rest(settling(robot, weight=0.1), engine, command)
@@ -135,10 +140,10 @@ def test_a_settled_cable_at_full_command_keeps_its_length(engine: str) -> None:
 
 
 def chain_of(num: int) -> Robot:
-    """One segment of 1.2 m in `num` links, bent by a cable 30 degrees from the x axis.
+    """Return one segment of 1.2 m in `num` links, bent by a cable 30 degrees from the x axis.
 
-    The hinges get stiffer as they get more, and so do their dampers; each link turns as heavily as its damper
-    needs (see `settling`), which rest does not feel.
+    With more links the hinges and their dampers are stiffer; each link has the moment of inertia
+    that its damper needs (see `settling`), which does not change the pose at rest.
     """
     share, length = num / 6, 1.2 / num
     robot = settling(load_robot("planar-single"))
@@ -155,11 +160,13 @@ def chain_of(num: int) -> Robot:
 
 
 def test_many_short_links_bend_into_the_textbooks_arc(engine: str) -> None:
-    """A cable taken in by d at radius r bends a constant-curvature segment by d / r, towards the cable.
+    """A cable taken in by d at radius r bends a constant-curvature segment by d / r, towards the
+    cable.
 
-    R. J. Webster III and B. A. Jones, "Design and kinematic modeling of constant curvature continuum robots: a
-    review", Int. J. Robotics Research 29(13), 2010, pp. 1661-1683. The other cables are paid out.
-    Links that are straight bend in steps: the tip is off by a share of the length that falls as 1 / links.
+    R. J. Webster III and B. A. Jones, "Design and kinematic modeling of constant curvature
+    continuum robots: a review", Int. J. Robotics Research 29(13), 2010, pp. 1661-1683. The other
+    cables are paid out. Straight links bend in steps, so the tip is off by a share of the length
+    that falls as 1 / links.
     """
     off, bend = [], 0.0
     for num in (4, 8, 16):

@@ -1,4 +1,5 @@
-"""The image of what a robot does is what its image does, in every engine; and the images that a robot has."""
+"""The image of what a robot does is what its image does, in every engine; and the images that a
+robot has."""
 
 from __future__ import annotations
 
@@ -14,7 +15,8 @@ _ACTIONS, _HOLD = 120, 10
 
 
 def test_what_the_image_does(engine: str, robot: Robot) -> None:
-    """The image of each command leads to the image of each observation: tip, base, its turning, sliders, and speeds."""
+    """The image of each command leads to the image of each observation: tip, base, its turning,
+    sliders, and speeds."""
     known = images(robot)
     env = TaskVectorEnv(len(known), robot, engine, autoreset_mode="Disabled")
     rng = np.random.default_rng(0)

@@ -1,7 +1,9 @@
-"""What is MuJoCo's own: threads, arrays shared with the engine, divergence. The physics is tested in every engine."""
+"""The MuJoCo engine: threads, shared arrays, divergence, active cables; physics is tested in every
+engine."""
 
 from __future__ import annotations
 
+import copy
 import dataclasses
 from itertools import pairwise
 from pathlib import Path
@@ -13,12 +15,12 @@ from backends.mujoco.active_cables import CURRENT
 from backends.mujoco.simulation import MujocoSimulation
 from cdcsr.errors import Diverged
 from cdcsr.robot.description import Robot
-from tests.support.physics import commands_of, moving, slack, straight
+from tests.support.physics import assert_same, commands_of, moving, slack, straight
 
 
 @pytest.fixture
 def elsewhere(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """MuJoCo writes its warnings to a file in the working directory."""
+    """Work in another folder, because MuJoCo writes its warnings to a file in the current one."""
     monkeypatch.chdir(tmp_path)
 
 
@@ -29,25 +31,22 @@ def test_each_copy_moves_as_if_alone(paper: Robot, threads: int) -> None:
     for command in commands:
         batch.step(command, 2)
     together = batch.state()
-    for copy in (0, 4, 8):
+    for index in (0, 4, 8):
         alone = MujocoSimulation(paper)
         for command in commands:
-            alone.step(command[copy : copy + 1], 2)
+            alone.step(command[index : index + 1], 2)
+        state = alone.state()
         for field in dataclasses.fields(together):
-            np.testing.assert_array_equal(
-                getattr(alone.state(), field.name)[0], getattr(together, field.name)[copy]
-            )
+            found, expected = getattr(state, field.name)[0], getattr(together, field.name)[index]
+            np.testing.assert_array_equal(found, expected)
 
 
-def test_a_state_stays_as_it_was(paper: Robot) -> None:
+def test_a_state_does_not_change_when_the_simulation_goes_on(paper: Robot) -> None:
     simulation = MujocoSimulation(paper)
     state = simulation.state()
-    before = dataclasses.replace(
-        state, **{f.name: getattr(state, f.name).copy() for f in dataclasses.fields(state)}
-    )
+    before = copy.deepcopy(state)
     simulation.step(commands_of(paper, 1)[0], 50)
-    for field in dataclasses.fields(state):
-        np.testing.assert_array_equal(getattr(state, field.name), getattr(before, field.name))
+    assert_same(state, before)
 
 
 @pytest.mark.usefixtures("elsewhere")
@@ -74,8 +73,9 @@ def test_an_impossible_time_step_diverges(paper: Robot) -> None:
 
 
 @pytest.mark.parametrize("guess", [0.0, 1.0])
-def test_which_cables_hold_does_not_depend_on_the_first_guess(paper: Robot, guess: float) -> None:
-    """Slack, taut and too long cables, with all or none of them guessed to hold: tensions and motion are the same."""
+def test_the_active_cables_do_not_depend_on_the_first_guess(paper: Robot, guess: float) -> None:
+    """Slack, taut and too long cables: tensions and motion are the same if the first guess is that
+    all pull or that none does."""
     start, command = moving(paper, 6), commands_of(paper, 1, num=6)[0]
     simulations = MujocoSimulation(paper, 6), MujocoSimulation(paper, 6)
     for simulation in simulations:
@@ -88,14 +88,12 @@ def test_which_cables_hold_does_not_depend_on_the_first_guess(paper: Robot, gues
     one, other = (simulation.state() for simulation in simulations)
     assert (one.cable_tension > 1).any()
     assert (one.cable_tension == 0).any()
-    for field in dataclasses.fields(one):
-        values = [getattr(state, field.name) for state in (one, other)]
-        np.testing.assert_allclose(*values, rtol=1e-3, atol=1e-3, err_msg=field.name)
+    assert_same(one, other, rtol=1e-3, atol=1e-3)
 
 
 def test_an_excess_is_taken_back_with_the_recovery_time(paper: Robot) -> None:
-    """A cable set 2 mm too long: the first step takes back what is due, h / recovery time; what has come into motion
-    goes on, so later ones take back no less, until the cable is as long as at rest, or slack."""
+    """A cable begins 2 mm too long. The first step takes back the share h / recovery time. The
+    motion that this starts goes on, so later steps take back at least as large a share."""
     start = straight(paper)
     start.position[0, 7] = -2e-3
     simulation = MujocoSimulation(paper)

@@ -21,9 +21,8 @@ def test_bodies_have_the_described_mass_inertia_and_center(robot: Robot) -> None
     for name, mass, inertia, center in expected:
         body = model.body(name)
         assert body.mass == mass
-        principal = rotation_matrix(
-            body.iquat
-        )  # the compiler may sort the moments and turn their frame
+        # The compiler may sort the moments and turn their frame.
+        principal = rotation_matrix(body.iquat)
         np.testing.assert_allclose(
             principal @ np.diag(body.inertia) @ principal.T, np.diag(inertia), atol=1e-12
         )
@@ -35,7 +34,8 @@ def test_bodies_have_the_described_mass_inertia_and_center(robot: Robot) -> None
 
 
 def test_center_of_mass_of_the_papers_robot(paper: Robot) -> None:
-    """8 sliders of 0.2 kg at z = 0.3 - 0.02 - 0.2; 12 links of 1.18 kg with their middle at z = 0.3 + 1.2."""
+    """8 sliders of 0.2 kg are at z = 0.3 - 0.02 - 0.2; the middle of 12 links of 1.18 kg is at z =
+    0.3 + 1.2."""
     model = build_spec(paper).compile()
     data = mujoco.MjData(model)
     mujoco.mj_forward(model, data)

@@ -1,4 +1,4 @@
-"""`cdcsr build-model`: what it writes loads in the plain engines, which then hold the robot of the description."""
+"""The plain engines load the files of `cdcsr build-model`, and then hold the described robot."""
 
 from __future__ import annotations
 
@@ -12,22 +12,23 @@ import numpy as np
 import pytest
 
 from cdcsr.errors import CdcsrError
-from cdcsr.robot.description import load_robot, shipped_robots
+from cdcsr.robot.description import Robot, load_robot, shipped_robots
 from cdcsr.robot.routing import routing
+from tests.support.physics import described_bodies
 from training.commands.build_model import build_model
 
-OURS = "assert not {'cdcsr', 'backends'} & {name.partition('.')[0] for name in sys.modules}"
+ALONE = "assert not {'cdcsr', 'backends'} & {name.partition('.')[0] for name in sys.modules}"
 IN_MUJOCO = f"""
 import json, sys
 import mujoco
 model = mujoco.MjModel.from_xml_path(sys.argv[1])
 data = mujoco.MjData(model)
 mujoco.mj_forward(model, data)
-{OURS}
+{ALONE}
 print(json.dumps({{
-    "masses": [float(m) for m in model.body_mass if m], "center": data.subtree_com[0].tolist(), "dof": model.nv,
-    "meshes": model.nmesh, "lengths": data.ten_length.tolist(), "limits": model.tendon_range[:, 1].tolist(),
-    "tip": data.site("tip").xpos.tolist(),
+    "masses": [float(m) for m in model.body_mass if m], "center": data.subtree_com[0].tolist(),
+    "dof": model.nv, "meshes": model.nmesh, "lengths": data.ten_length.tolist(),
+    "limits": model.tendon_range[:, 1].tolist(), "tip": data.site("tip").xpos.tolist(),
 }}))
 """
 IN_PYBULLET = f"""
@@ -36,23 +37,27 @@ import pybullet
 client = pybullet.connect(pybullet.DIRECT)
 flags = pybullet.URDF_USE_INERTIA_FROM_FILE
 robot = pybullet.loadURDF(sys.argv[1], flags=flags, physicsClientId=client)
-info = [pybullet.getDynamicsInfo(robot, i) for i in range(-1, pybullet.getNumJoints(robot))]
-places = [[0, 0, 0]] + [pybullet.getLinkState(robot, i)[0] for i in range(pybullet.getNumJoints(robot))]
+count = pybullet.getNumJoints(robot)
+info = [pybullet.getDynamicsInfo(robot, i) for i in range(-1, count)]
+places = [[0, 0, 0]] + [pybullet.getLinkState(robot, i)[0] for i in range(count)]
 masses = [i[0] for i in info]
-joints = [pybullet.getJointInfo(robot, i) for i in range(pybullet.getNumJoints(robot))]
-{OURS}
+joints = [pybullet.getJointInfo(robot, i) for i in range(count)]
+{ALONE}
 print(json.dumps({{
-    "masses": [m for m in masses if m], "dof": 6 + sum(j[2] != pybullet.JOINT_FIXED for j in joints),
+    "masses": [m for m in masses if m],
+    "dof": 6 + sum(j[2] != pybullet.JOINT_FIXED for j in joints),
     "center": [sum(m * p[k] for m, p in zip(masses, places)) / sum(masses) for k in range(3)],
     "meshes": sum(shape[2] == pybullet.GEOM_MESH for shape in pybullet.getVisualShapeData(robot)),
     "inertias": [i[2] for i in info if i[0]],
-    "links": ["base"] + [j[12].decode() for j in joints], "joints": [j[1].decode() for j in joints],
+    "links": ["base"] + [j[12].decode() for j in joints],
+    "joints": [j[1].decode() for j in joints],
 }}))
 """
 
 
 def plain(code: str, file: Path, folder: Path) -> dict[str, Any]:
-    """What an engine makes of a file, in a process that runs elsewhere and has nothing of ours."""
+    """Return what an engine reads from a file, in a process without this package, in another
+    folder."""
     command = [sys.executable, "-c", code, str(file)]
     done = subprocess.run(command, check=False, capture_output=True, text=True, cwd=folder)
     assert done.returncode == 0, done.stderr
@@ -63,7 +68,7 @@ def plain(code: str, file: Path, folder: Path) -> dict[str, Any]:
 def built(
     request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory
 ) -> tuple[str, Path]:
-    """Name of a robot and the folder of its models; the summary lies beside it, in summary.json."""
+    """Return the name of a robot and the folder of its files; summary.json lies beside that."""
     out = tmp_path_factory.mktemp("models") / "moved"
     build_model(request.param, out=out, json=out.parent / "summary.json")
     return request.param, out
@@ -84,24 +89,25 @@ def test_it_writes_the_promised_files(built: tuple[str, Path]) -> None:
     assert (out / f"{name}.glb").read_bytes()[:4] == b"glTF"
 
 
+def check_bodies(found: dict[str, Any], robot: Robot, summary: dict[str, Any]) -> None:
+    """Compare masses, centre of mass and degrees of freedom."""
+    expected = [mass for _, mass, _, _ in described_bodies(robot)]
+    np.testing.assert_allclose(sorted(found["masses"]), sorted(expected), rtol=1e-12)
+    np.testing.assert_allclose(found["center"], summary["center_of_mass"], atol=1e-9)
+    assert found["dof"] == robot.num_coordinates == summary["degrees_of_freedom"]
+
+
 def test_plain_mujoco_holds_the_robot(built: tuple[str, Path], tmp_path: Path) -> None:
     name, out = built
     robot, route = load_robot(name), routing(load_robot(name))
     found = plain(IN_MUJOCO, out / f"{name}.xml", tmp_path)
     summary = json.loads((out.parent / "summary.json").read_text())
-    expected = [
-        robot.base.mass,
-        *[link.mass for link, _ in robot.links],
-        *[servo.mass for servo in robot.servos],
-    ]
-    np.testing.assert_allclose(sorted(found["masses"]), sorted(expected), rtol=1e-12)
-    np.testing.assert_allclose(found["center"], summary["center_of_mass"], atol=1e-9)
-    assert found["dof"] == robot.num_coordinates == summary["degrees_of_freedom"]
+    check_bodies(found, robot, summary)
     assert found["meshes"] == 1 + 2 * robot.num_segments
     np.testing.assert_allclose(found["tip"], [0, 0, robot.top + robot.arm_length], atol=1e-12)
     np.testing.assert_allclose(found["lengths"], route.rest_length, rtol=1e-12)
     np.testing.assert_allclose(found["limits"], route.rest_length, atol=1e-8)
-    # A limit that lies below the length at rest, if only by a hair, takes hold in the very first step.
+    # A limit below the length at rest, by however little, acts in the first step.
     assert np.all(np.less(found["limits"], found["lengths"]))
 
 
@@ -110,18 +116,10 @@ def test_plain_pybullet_holds_the_robot(built: tuple[str, Path], tmp_path: Path)
     robot = load_robot(name)
     found = plain(IN_PYBULLET, out / f"{name}.urdf", tmp_path)
     summary = json.loads((out.parent / "summary.json").read_text())
-    links = [link for link, _ in robot.links]
-    expected = [
-        robot.base.mass,
-        *[link.mass for link in links],
-        *[servo.mass for servo in robot.servos],
-    ]
-    np.testing.assert_allclose(sorted(found["masses"]), sorted(expected), rtol=1e-12)
-    np.testing.assert_allclose(found["center"], summary["center_of_mass"], atol=1e-9)
-    assert found["dof"] == robot.num_coordinates
+    check_bodies(found, robot, summary)
     assert found["meshes"] == summary["bodies"]
     np.testing.assert_allclose(found["inertias"][0], robot.base.inertia, rtol=1e-12)
-    for link in links:
+    for link, _ in robot.links:
         assert any(np.allclose(inertia, link.inertia, rtol=1e-12) for inertia in found["inertias"])
     cables = json.loads((out / "cables.json").read_text())["cables"]
     assert len(cables) == robot.num_cables
@@ -132,9 +130,8 @@ def test_plain_pybullet_holds_the_robot(built: tuple[str, Path], tmp_path: Path)
 
 def test_the_engines_agree_on_the_mass_matrix(built: tuple[str, Path]) -> None:
     _, out = built
-    differences = json.loads((out.parent / "summary.json").read_text())["mass_matrix_difference"][
-        "pybullet"
-    ]
+    summary = json.loads((out.parent / "summary.json").read_text())
+    differences = summary["mass_matrix_difference"]["pybullet"]
     assert differences["straight"] < 1e-9
     assert differences["bent"] < 1e-9
 

@@ -1,9 +1,7 @@
-"""The equation of motion of every engine against finite differences, the described bodies and the
-closed form."""
+"""Every engine's equation of motion, compared with finite differences, the described bodies and
+closed forms."""
 
 from __future__ import annotations
-
-from typing import Any
 
 import numpy as np
 import pytest
@@ -16,7 +14,7 @@ from tests.support.physics import at, described_bodies, moving, running
 
 
 def test_coordinates_are_in_the_contracts_order(robot: Robot, engine: str) -> None:
-    """A snapshot's numbers come out of the state under the right names."""
+    """The state has the numbers of a snapshot under the right names."""
     snapshot, cables = moving(robot, 3), robot.num_cables
     with running(robot, engine, 3) as simulation:
         simulation.set_snapshot(snapshot)
@@ -36,7 +34,8 @@ def test_coordinates_are_in_the_contracts_order(robot: Robot, engine: str) -> No
 
 
 def moved(robot: Robot, position: Array, velocity: Array, time: float) -> Snapshot:
-    """Every coordinate carried on at its velocity; the base turns about the world's axes."""
+    """Return the state after a time at constant velocities; the base turns about the world's
+    axes."""
     turn = Rotation.from_rotvec(time * velocity[3:6]) * Rotation.from_quat(
         position[3:7], scalar_first=True
     )
@@ -48,14 +47,14 @@ def moved(robot: Robot, position: Array, velocity: Array, time: float) -> Snapsh
 
 
 def test_tip_jacobian_is_the_derivative_of_the_tips_position(robot: Robot, engine: str) -> None:
-    """Column by column, a unit velocity each, by central differences over 2e-5 s."""
+    """Each column is compared with central differences over 2e-5 s at a unit velocity."""
     step, position, tips = 1e-5, moving(robot, 1).position[0], []
     with running(robot, engine) as simulation:
         for unit in np.eye(robot.num_coordinates):
             for time in (step, -step, 0):
                 simulation.set_snapshot(moved(robot, position, unit, time))
                 tips.append(simulation.state().tip_position[0])
-            # At the last of these states, the velocity of the tip is this column.
+            # In the last of these states the velocity of the tip is this column.
             np.testing.assert_allclose(
                 simulation.state().tip_velocity[0], (tips[-3] - tips[-2]) / (2 * step), atol=1e-8
             )
@@ -65,15 +64,14 @@ def test_tip_jacobian_is_the_derivative_of_the_tips_position(robot: Robot, engin
 
 
 def energy_body_by_body(robot: Robot, snapshot: Snapshot, copy: int) -> float:
-    """Kinetic energy in [J], with every body's frame and velocity found by walking out along the
-    arm."""
+    """Return the kinetic energy in [J], summed body by body from the base to the tip."""
     cables, position, velocity = robot.num_cables, snapshot.position[copy], snapshot.velocity[copy]
     linear, angular = velocity[:3], velocity[3:6]
     frame = Rotation.from_quat(position[3:7], scalar_first=True)
     total = 0.0
 
-    def add(mass: float, inertia: Any, offset: Array, own: Array) -> None:
-        """A body with its centre at `offset` in the present frame, sliding at `own` in it."""
+    def add(mass: float, inertia: Array, offset: Array, own: Array) -> None:
+        """Add a body whose centre is at `offset` in the present frame and moves at `own` in it."""
         speed = linear + np.cross(angular, frame.apply(offset)) + frame.apply(own)
         spin = frame.inv().apply(angular)
         nonlocal total
@@ -130,7 +128,7 @@ def test_passive_forces_are_the_described_springs_and_dampers(robot: Robot, engi
 
 
 def test_cable_jacobian_is_the_closed_forms(robot: Robot, engine: str) -> None:
-    """Itself held against finite differences in tests/cdcsr. Moving the base changes no length."""
+    """The closed form itself is tested in tests/cdcsr. A motion of the base changes no length."""
     snapshot, cables = moving(robot, 4, bend=0.8), robot.num_cables
     with running(robot, engine, 4) as simulation:
         simulation.set_snapshot(snapshot)
@@ -143,9 +141,8 @@ def test_cable_jacobian_is_the_closed_forms(robot: Robot, engine: str) -> None:
 
 
 def test_bias_is_the_force_of_free_motion(robot: Robot, engine: str) -> None:
-    """Along a free motion M v' = -bias, so the kinetic energy's rate v.M v' + 1/2 v.M' v is zero:
-    bias does as much work as the mass matrix changes, v.bias = 1/2 v.M' v, with M' by central
-    differences along the velocity."""
+    """Along a free motion M v' = -bias, and the rate of the kinetic energy, v.M v' + 1/2 v.M' v, is
+    zero, so v.bias = 1/2 v.M' v; M' is found by central differences along the velocity."""
     step, snapshot, around = 1e-5, moving(robot, 1, bend=0.5), []
     position, velocity = snapshot.position[0], snapshot.velocity[0]
     with running(robot, engine) as simulation:
@@ -156,8 +153,7 @@ def test_bias_is_the_force_of_free_motion(robot: Robot, engine: str) -> None:
     assert velocity @ around[2].bias_force[0] == pytest.approx(
         0.5 * velocity @ change @ velocity, rel=1e-6, abs=1e-6
     )
-    # No force from outside: bias is the rate of momentum that M v' has to make up for, in the
-    # base's linear rows M' v.
+    # No external force acts, so the momentum in the base's linear rows is constant: bias is M' v.
     np.testing.assert_allclose(
         around[2].bias_force[0, :3], change[:3] @ velocity, rtol=1e-6, atol=1e-6
     )
