@@ -1,0 +1,89 @@
+"""Random valid descriptions of robots, for property tests.
+
+The fast tests draw the same few descriptions every time, so that they repeat; the slow ones draw
+many new ones.
+"""
+
+from __future__ import annotations
+
+from hypothesis import settings
+from hypothesis import strategies as st
+
+from cdcsr.robot.description import Robot
+
+few = settings(max_examples=12, deadline=None, derandomize=True, database=None)
+many = settings(max_examples=200, deadline=None, database=None)
+
+
+def between(low: float, high: float) -> st.SearchStrategy[float]:
+    return st.floats(low, high, allow_subnormal=False)
+
+
+@st.composite
+def inertias(draw: st.DrawFn, scale: float) -> tuple[float, float, float]:
+    """Draw the inertia of a rigid body: each moment is the sum of two of three second moments."""
+    x, y, z = (scale * draw(between(0.1, 1)) for _ in "xyz")
+    return (y + z, x + z, x + y)
+
+
+@st.composite
+def robots(draw: st.DrawFn) -> Robot:
+    """1 to 4 segments of 1 to 10 links and 3 to 6 cables each, from centimetres to metres and grams
+    to tonnes.
+
+    Mass goes with size, as it does in matter: a step of half a millisecond then is short for every
+    spring.
+    """
+    height, heavy = draw(between(0.2, 2)), draw(between(20, 2000))
+    segments: list[dict[str, object]] = []
+    shortest = height
+    for _ in range(draw(st.integers(1, 4))):
+        length, mass = draw(between(0.03, 0.5)), draw(between(0.1, 5))
+        shortest = min(shortest, length)
+        offset = draw(between(0.05, 0.45)) * shortest
+        joint = {
+            "stiffness": draw(between(0, 5)),
+            "damping": draw(between(0.05, 3)),
+            "limit": draw(between(0.5, 3)),
+        }
+        angles = draw(st.lists(between(-360, 360), min_size=3, max_size=6))
+        segments.append(
+            {
+                "links": draw(st.integers(1, 10)),
+                "link": {
+                    "length": length,
+                    "radius": draw(between(0.005, 0.1)),
+                    "mass": mass,
+                    "inertia": draw(inertias(mass * length**2 / 5)),
+                },
+                "joint": joint,
+                "cables": {
+                    "angles_deg": angles,
+                    "pitch_radius": draw(between(0.01, 0.1)),
+                    "guide_offset": offset,
+                },
+                "servo": {
+                    "mass": draw(between(0.05, 1)),
+                    "damping": draw(between(0, 50)),
+                    "gain": draw(between(5, 100)),
+                    "eta": draw(between(0.1, 5)),
+                    "radius": draw(between(0.005, 0.05)),
+                    "offset": draw(between(0.3, 0.99)) * (height - offset),
+                },
+            }
+        )
+    base = {
+        "size": (draw(between(0.1, 1)), 0.5, height),
+        "mass": heavy,
+        "inertia": draw(inertias(heavy / 10)),
+    }
+    return Robot.model_validate(
+        {
+            "name": draw(st.from_regex(r"\A[a-z][a-z0-9-]{0,10}\Z")),
+            "time_step": 0.0005,
+            "base": base,
+            "constraint": {"recovery_time": 0.0005 * draw(between(2, 10))},
+            "workspace": {"center": (0.0, 0.0, 1.0), "size": (0.1, 0.0, 0.2)},
+            "segments": segments,
+        }
+    )
