@@ -130,7 +130,7 @@ class JacobianController(Controller):
         return implicit, force, rate, dynamics.cable_jacobian[:, :, keep]
 
     def _tensions(self, slope: Array, wish: Array) -> Array:
-        """Minimise |slope t - wish|^2 + regularization |t|^2 over 0 <= t <= gain eta, shape (C,)."""
+        """Minimise |slope t - wish|^2 + regularization |t|^2 over 0 <= t <= gain eta."""
         limit = self._servo_gain * self._eta
         matrix = np.vstack([slope, np.sqrt(self.regularization) * np.eye(len(limit))])
         goal = np.concatenate([wish, np.zeros(len(limit))])

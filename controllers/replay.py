@@ -1,9 +1,8 @@
-"""Open-loop replay: the same commands in another engine, and how far the tips come apart."""
+"""Replay recorded commands open loop in another engine, and compare the paths of the tips."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,16 +17,16 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Replayed:
-    """How far a replay came from what was recorded."""
+    """The distance of the tips between a replay and its recording."""
 
     backend: str
     mean: Array
-    """Mean distance of the tips over each episode, shape (N,), in [m]."""
+    """The mean over each episode, shape (N,), in [m]."""
     largest: Array
-    """Largest, shape (N,), in [m]."""
+    """The largest in each episode, shape (N,), in [m]."""
 
-    def as_dict(self) -> dict[str, Any]:
-        """The numbers that are reported, in [mm]."""
+    def as_dict(self) -> dict[str, str | float]:
+        """Return the numbers that are reported, in [mm]."""
         return {
             "backend": self.backend,
             "episodes": len(self.mean),
@@ -38,13 +37,13 @@ class Replayed:
 
 
 def replay(robot: Robot, backend: str, episodes: list[Episode], frame_skip: int = 1) -> Replayed:
-    """Give recorded commands to an engine, without feedback, all episodes side by side.
+    """Send recorded commands to an engine, all episodes side by side.
 
     Args:
-        robot: the description they were recorded with.
+        robot: the description with which they were recorded.
         backend: the engine.
-        episodes: recorded in any engine.
-        frame_skip: simulation steps each command is held for.
+        episodes: episodes that were recorded in any engine.
+        frame_skip: how many simulation steps each command is held for.
     """
     num = len(episodes)
     simulation = make_simulation(robot, backend, num)

@@ -9,6 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cdcsr.envs.gym_env import TaskVectorEnv
+from cdcsr.robot.description import Robot
+from cdcsr.simulation.contract import State
 from cdcsr.tasks.observation import TARGET, to_state
 from controllers.controller import Conditions, Controller, Target
 
@@ -101,9 +103,19 @@ def command(controller: Controller, env: TaskVectorEnv, observation: Array, time
     if controller.privileged:
         target = Target(env.targets, env.target_velocity)
         return controller.act(env.simulation.state(), target, time)
+    return controller.act(*seen_in(observation, time, env.robot), time)
+
+
+def seen_in(observation: Array, time: Array, robot: Robot) -> tuple[State, Target]:
+    """Return the state and the target in observations; what eq. (1) does not hold is NaN.
+
+    Args:
+        observation: shape (num, 23 + C).
+        time: of each copy, shape (num,), in [s].
+        robot: the robot that was observed.
+    """
     position = observation[:, TARGET]
-    state = to_state(observation, time, env.robot)
-    return controller.act(state, Target(position, np.full_like(position, np.nan)), time)
+    return to_state(observation, time, robot), Target(position, np.full_like(position, np.nan))
 
 
 def rollout(

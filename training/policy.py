@@ -1,15 +1,16 @@
 """A trained policy, as a controller and as files.
 
-A policy is a folder with two files. `policy.safetensors` holds the weights. `policy.json`, the card,
-holds all else that the policy needs to act: the robot's description, the network's size, the
-targets of the demonstrations and how it was trained. Nothing is ever unpickled. The card's `format`
-is 1 for a network without mirror symmetry and 2 for one with it.
+A policy is a folder with two files. `policy.safetensors` holds the weights. `policy.json`, the
+card, holds all else that the policy needs to act: the robot's description, the network's size, the
+targets of the demonstrations and how it was trained. Nothing is ever unpickled. The card's
+`format` is 1 for a network without mirror symmetry and 2 for one with it.
 """
 
 from __future__ import annotations
 
 import hashlib
 import json
+from collections.abc import Iterable
 from copy import copy
 from importlib import resources
 from importlib.metadata import version
@@ -188,8 +189,12 @@ def load_policy(folder: Path) -> Policy:
     return policy
 
 
-def find_policy(name: str) -> Policy:
+def find_policy(name: str, others: Iterable[str] = ()) -> Policy:
     """Find a policy by its folder, by the folder of its run, or by the name of a shipped one.
+
+    Args:
+        name: which policy.
+        others: what else the user could have named, for the error.
 
     Raises:
         CdcsrError: there is none, or it is damaged.
@@ -204,6 +209,7 @@ def find_policy(name: str) -> Policy:
             else []
         )
         raise CdcsrError(
-            unknown_choice("policy", name, names) + " Or give the folder of a policy or a run."
+            unknown_choice("policy", name, [*names, *others])
+            + " Or give the folder of a policy or a run."
         )
     return load_policy(Path(name))

@@ -18,17 +18,18 @@ def demonstrate(
     force: bool = False,
     json: Path | None = None,
 ) -> None:
-    """Record the scripted Jacobian controller into a Minari dataset.
+    """Record episodes of the scripted demonstrator into a Minari dataset.
 
     Args:
         out: the folder of the dataset.
         backend: the engine.
-        space: where targets are drawn: anchor, floating, spatter or workspace.
+        space: the operation space of the targets: anchor, floating, spatter or workspace.
         episodes: how many successful episodes.
-        seed: of the targets.
+        seed: seed of the targets.
         robot: a shipped robot's name, or a path ending in .toml.
-        frame_skip: simulation steps each command is held for.
-        task: reach, precise, quiet, capture, capture-drift, capture-tumble, follow-line, -circle or -random.
+        frame_skip: how many simulation steps each command is held for.
+        task: reach, precise, quiet, capture, capture-drift, capture-tumble, follow-line,
+            follow-circle or follow-random.
         force: replace an existing folder.
         json: also write the summary to this file.
     """
@@ -69,8 +70,9 @@ def demonstrate(
         "targets": [episode.target.tolist() for episode in recorded],
     }
     print(
-        f"{len(recorded)} demonstrations of {env.robot.name} in {backend} ({env.task.name}, {space}, seed {seed}): "
-        f"{sum(lengths)} steps, {summary['length_mean']:.1f} on average, {failed} failed and drawn anew -> {out}"
+        f"{len(recorded)} demonstrations of {env.robot.name} in {backend} ({env.task.name}, "
+        f"{space}, seed {seed}): {sum(lengths)} steps, {summary['length_mean']:.1f} on average, "
+        f"{failed} failed and drawn anew -> {out}"
     )
     if json is not None:
         write_json(json, summary)

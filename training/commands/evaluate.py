@@ -21,43 +21,40 @@ def evaluate(
     json: Path | None = None,
     plot: Path | None = None,
 ) -> None:
-    """Measure one policy, or the scripted demonstrator, on held-out targets.
+    """Measure one controller on held-out targets.
 
     Args:
-        policy: folder of a policy or a run, name of a shipped policy, or "jacobian" for the demonstrator.
+        policy: folder of a policy or a run, name of a shipped policy, "jacobian" (the scripted
+            demonstrator), "nearest" (replays the nearest demonstration), package.module:Object (a
+            controller of your own), or a .zip of stable-baselines3.
         backend: an engine, or all.
-        space: anchor, floating, spatter or workspace; by default the one the policy was trained in.
-        task: what it is to do; by default what it was trained for.
-        episodes: how many, run as one batch.
-        seed: of the targets; by default the one that nothing is tuned on.
-        robot: the robot of the scripted demonstrator; a policy brings its own.
+        space: anchor, floating, spatter or workspace; by default that of the training.
+        task: the task; by default the one it was trained for.
+        episodes: how many episodes, run as one batch.
+        seed: seed of the targets; by default the one that nothing is tuned on.
+        robot: the robot, unless the policy brings its own.
         action_noise: standard deviation of noise on the commands, in [m] of set-point.
         base_noise: standard deviation of noise on the observed base position, in [m].
         packet_loss: probability that an observation is lost.
         json: also write the results, each episode included, to this file.
-        plot: also draw which targets are reached, a panel for each cell, to this PNG.
+        plot: also draw which targets are reached, in a panel for each cell, to this PNG.
     """
     from cdcsr.envs.disturbances import Disturbances
-    from training.commands.measured import (
-        find_controller,
-        report_cells,
-        set_threads,
-        trained_space,
-        trained_task,
-    )
+    from cdcsr.robot.description import load_robot
+    from training.commands.measured import find_controller, report_cells, robot_of, set_threads
 
     set_threads()
-    controller, description = find_controller(policy, robot)
-    spaces = [space or trained_space(controller)]
+    description = load_robot(robot)
+    controller = find_controller(policy, description)
     report_cells(
         [controller],
-        description,
+        robot_of(controller, description),
         backend,
-        spaces,
+        [space or controller.space or "anchor"],
         episodes,
         seed,
         json,
         plot,
         Disturbances(action_noise, base_noise, packet_loss),
-        task or trained_task(controller),
+        task or controller.task,
     )

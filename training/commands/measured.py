@@ -6,8 +6,10 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
+    from cdcsr.envs.disturbances import Disturbances
     from cdcsr.robot.description import Robot
     from controllers.controller import Controller
+    from training.measure.transfer_matrix import Cell
 
 
 def report_cells(
@@ -19,26 +21,21 @@ def report_cells(
     seed: int | None,
     json: Path | None,
     plot: Path | None,
-    disturbances: object,
+    disturbances: Disturbances | None,
     task: str,
 ) -> None:
-    """Measure, print the table, write the JSON file and draw the picture."""
-    from cdcsr.envs.disturbances import Disturbances
+    """Measure controllers, print the table, write the JSON file and draw the picture."""
     from cdcsr.files import write_json
     from cdcsr.simulation.engines import chosen_backends
     from training.config.seeds import TEST_SEED
-    from training.measure.transfer_matrix import Cell, disagreements, format_table, other_targets
+    from training.measure.transfer_matrix import disagreements, format_table, other_targets
     from training.measure.transfer_matrix import transfer as measure
 
-    backends = chosen_backends(backend)
-    assert disturbances is None or isinstance(disturbances, Disturbances)
-
     def progress(cell: Cell) -> None:
-        print(
-            f"{cell.controller} in {cell.backend}, {cell.space}: {cell.result.rate:.2f}", flush=True
-        )
+        rate = f"{cell.result.rate:.2f}"
+        print(f"{cell.controller} in {cell.backend}, {cell.space}: {rate}", flush=True)
 
-    seed = TEST_SEED if seed is None else seed
+    backends, seed = chosen_backends(backend), TEST_SEED if seed is None else seed
     cells = measure(
         controllers, robot, backends, spaces, episodes, seed, disturbances, task, progress
     )
@@ -47,56 +44,65 @@ def report_cells(
     for sentence in other_targets(cells):
         print(sentence)
     if json is not None:
-        pairs = [pair.as_dict() for pair in disagreements(cells)]
-        write_json(
-            json,
-            {
-                "task": task,
-                "seed": seed,
-                "cells": [cell.as_dict() for cell in cells],
-                "disagreements": pairs,
-            },
-        )
-    if plot is not None:
-        from cdcsr.simulation.engines import engine_title
-        from training.plots.targets import draw_targets
-
-        panels = {
-            f"{cell.controller} in {engine_title(cell.backend)}"
-            + (f", {cell.space}" if len(spaces) > 1 else ""): cell
-            for cell in cells
+        found = {
+            "task": task,
+            "seed": seed,
+            "cells": [cell.as_dict() for cell in cells],
+            "disagreements": [pair.as_dict() for pair in disagreements(cells)],
         }
-        draw_targets({title: cell.result for title, cell in panels.items()}, robot, plot)
-        print(f"\ndrawn to {plot}")
+        write_json(json, found)
+    if plot is not None:
+        _draw(cells, robot, plot)
+
+
+def _draw(cells: list[Cell], robot: Robot, plot: Path) -> None:
+    """Draw the targets of each cell in a panel of its own."""
+    from cdcsr.simulation.engines import engine_title
+    from training.plots.targets import draw_targets
+
+    several = len({cell.space for cell in cells}) > 1
+    panels = {
+        f"{cell.controller} in {engine_title(cell.backend)}"
+        + (f", {cell.space}" if several else ""): cell.result
+        for cell in cells
+    }
+    draw_targets(panels, robot, plot)
+    print(f"\ndrawn to {plot}")
 
 
 def set_threads() -> None:
+    """Let torch compute in one thread, so that the same bits come out on every machine."""
     import torch
 
     torch.set_num_threads(1)
 
 
-def trained_task(controller: Controller) -> str:
-    """The task of a policy; that of a scripted controller is to reach."""
-    from training.policy import Policy
+def find_controller(name: str, robot: Robot) -> Controller:
+    """Return the controller that a user names.
 
-    return controller.task if isinstance(controller, Policy) else "reach"
+    Args:
+        name: a scripted controller (jacobian, nearest, nearest:FOLDER), `package.module:Object`, a
+            `.zip` file of stable-baselines3, the folder of a policy or a run, or the name of a
+            shipped policy.
+        robot: the robot that it is to control; a policy brings its own.
 
-
-def trained_space(controller: Controller) -> str:
-    from training.policy import Policy
-
-    return str(controller.card["space"]) if isinstance(controller, Policy) else "anchor"
-
-
-def find_controller(name: str, robot: str) -> tuple[Controller, Robot]:
-    """The controller of that name or folder, and the robot it is for."""
-    from cdcsr.robot.description import load_robot
-    from controllers.jacobian import JacobianController
+    Raises:
+        CdcsrError: there is no such controller, or it cannot be loaded.
+    """
+    from controllers.registry import SCRIPTED, scripted_controller
+    from controllers.stable_baselines import StableBaselines
     from training.policy import find_policy
 
-    if name == JacobianController.name:
-        description = load_robot(robot)
-        return JacobianController(description), description
-    policy = find_policy(name)
-    return policy, policy.robot
+    scripted = scripted_controller(name, robot)
+    if scripted is not None:
+        return scripted
+    if name.endswith(".zip"):
+        return StableBaselines(name)
+    return find_policy(name, SCRIPTED)
+
+
+def robot_of(controller: Controller, robot: Robot) -> Robot:
+    """Return the robot that a controller is for: a policy's own, else the one asked for."""
+    from training.policy import Policy
+
+    return controller.robot if isinstance(controller, Policy) else robot

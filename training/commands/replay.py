@@ -14,13 +14,13 @@ def replay(
     frame_skip: int = 1,
     json: Path | None = None,
 ) -> None:
-    """Replay recorded commands open-loop in each engine, and show how far the tips come apart.
+    """Replay recorded commands open loop in each engine, and compare the paths of the tips.
 
     Args:
         dataset: a folder made by `cdcsr demonstrate`.
         backend: an engine, or all.
-        robot: the robot of the dataset: a shipped one's name, or a path ending in .toml.
-        frame_skip: simulation steps each command was held for in it.
+        robot: the robot of the dataset: a shipped robot's name, or a path ending in .toml.
+        frame_skip: how many simulation steps each command was held for.
         json: also write the distances to this file.
     """
     from cdcsr.files import write_json
@@ -35,7 +35,8 @@ def replay(
         run(description, name, episodes, frame_skip).as_dict() for name in chosen_backends(backend)
     ]
     print(
-        f"{len(episodes)} recorded episodes, replayed without feedback; distance of the tip from the recording:"
+        f"{len(episodes)} recorded episodes, replayed without feedback; "
+        "distance of the tip from the recording:"
     )
     for result in results:
         print(

@@ -1,4 +1,4 @@
-"""`cdcsr search`: how much better than a controller could one do."""
+"""`cdcsr search`: find out how much better than a controller one could do."""
 
 from __future__ import annotations
 
@@ -12,17 +12,19 @@ if TYPE_CHECKING:
     import numpy as np
     from numpy.typing import NDArray
 
+    from cdcsr.envs.gym_env import TaskVectorEnv
+    from controllers.controller import Controller
     from controllers.search import Outcome
 
 _COPIES = 48
-"""Plans tried side by side."""
+"""The number of plans that are tried side by side."""
 SEARCH_FOLDER = WorkingFolder(
     "a search", "search.json", frozenset({"controller", "rounds"}), results=("targets.csv",)
 )
 
 
 class _Row(NamedTuple):
-    """One target, as a line of `targets.csv`."""
+    """One line of `targets.csv`: a target, and the outcomes of the controller and of the best."""
 
     episode: int
     x: float
@@ -54,75 +56,66 @@ def search(
     force: bool = False,
     json: Path | None = None,
 ) -> None:
-    """Search, target by target, for commands that do better than a controller: what could be done at all.
+    """Search, target by target, for commands that do better than a controller.
 
-    Offsets to the controller's own commands are searched for by the cross-entropy method, 48 plans a round. Goes on
-    where it was stopped. What it finds is a lower bound: a target may be reachable, or sooner, and not found to be;
-    under disturbances, an estimate of one.
+    The search tries offsets to the controller's own commands by the cross-entropy method, 48 plans
+    a round. It resumes where it was stopped. What it finds is a lower bound: a target may be
+    reachable, or reachable sooner, without being found to be. Under disturbances it is an estimate.
 
     Args:
-        policy: folder of a policy or a run, name of a shipped policy, or "jacobian" for the demonstrator.
-        out: folder of the results: `targets.csv`, a line for each target, and `search.json`, what was asked for.
+        policy: folder of a policy or a run, name of a shipped policy, "jacobian" (the scripted
+            demonstrator), "nearest" (replays the nearest demonstration), package.module:Object (a
+            controller of your own), or a .zip of stable-baselines3.
+        out: folder of the results: `targets.csv`, a line for each target, and `search.json`, the
+            options.
         backend: the engine.
-        space: anchor, floating, spatter or workspace; by default the one the policy was trained in.
+        space: anchor, floating, spatter or workspace; by default that of the training.
         episodes: how many targets, the same as those of as many episodes of `cdcsr evaluate`.
-        rounds: of the search at each target; about half a second each.
+        rounds: how many rounds at each target; about half a second each.
         missed: search only at targets that the controller reaches in less than half of 48 tries.
-        seed: of the targets; by default the one that nothing is tuned on.
-        robot: the robot of the scripted demonstrator; a policy brings its own.
+        seed: seed of the targets; by default the one that nothing is tuned on.
+        robot: the robot, unless the policy brings its own.
         action_noise: standard deviation of noise on the commands, in [m] of set-point.
         base_noise: standard deviation of noise on the observed base position, in [m].
         packet_loss: probability that an observation is lost.
         force: start anew in a folder that holds another search.
         json: also write the summary to this file.
     """
-    import torch
-
     from cdcsr.envs.disturbances import Disturbances
     from cdcsr.envs.gym_env import TaskVectorEnv
     from cdcsr.errors import CdcsrError
-    from cdcsr.files import write_json, write_text
-    from controllers.search import improve
-    from training.commands.measured import find_controller, trained_space
+    from cdcsr.files import write_json
+    from cdcsr.robot.description import load_robot
+    from training.commands.measured import find_controller, robot_of, set_threads
     from training.config.seeds import TEST_SEED
-    from training.policy import Policy
 
-    torch.set_num_threads(1)
+    set_threads()
     for name, value in {"episodes": episodes, "rounds": rounds}.items():
         if value < 1:
             raise CdcsrError(f"{name} must be at least 1, not {value}.")
-    controller, description = find_controller(policy, robot)
-    learned = controller if isinstance(controller, Policy) else None
-    seed, space = TEST_SEED if seed is None else seed, space or trained_space(controller)
-    disturbances = Disturbances(action_noise, base_noise, packet_loss)
-    task = "reach" if learned is None else learned.task
-    if task not in ("reach", "precise", "quiet"):
-        raise CdcsrError(
-            f"{controller.name} is for {task}; a search is for reaching: reach, precise, quiet."
-        )
-    if learned is not None and learned.frame_skip != 1:
-        raise CdcsrError(
-            f"{controller.name} holds actions for {learned.frame_skip} steps; a search is for one a step."
-        )
-    common: dict[str, Any] = {
-        "robot": description,
+    description = load_robot(robot)
+    controller = find_controller(policy, description)
+    _check_searchable(controller)
+    env_options = {
+        "robot": robot_of(controller, description),
         "backend": backend,
-        "space": space,
-        "task": task,
+        "space": space or controller.space or "anchor",
+        "task": controller.task,
         "autoreset_mode": "Disabled",
-        "centers": None if learned is None else learned.centers,
+        "centers": controller.centers,
     }
-    drawn = TaskVectorEnv(episodes, **common)
+    seed = TEST_SEED if seed is None else seed
+    drawn = TaskVectorEnv(episodes, **env_options)
     drawn.reset(seed=seed)
     targets = drawn.targets.copy()
     drawn.close()
     identity = {
         "controller": controller.name,
-        "weights": None if learned is None else learned.digest,
-        "robot": description.fingerprint,
+        "weights": getattr(controller, "digest", None),
+        "robot": drawn.robot.fingerprint,
         "backend": backend,
-        "space": space,
-        "task": task,
+        "space": env_options["space"],
+        "task": controller.task,
         "seed": seed,
         "episodes": episodes,
         "rounds": rounds,
@@ -132,51 +125,85 @@ def search(
         "packet_loss": packet_loss,
     }
     if action_noise or base_noise or packet_loss:
-        identity["told"] = (
-            "by tries drawn anew"  # once it was by those that chose, so such a search cannot go on
-        )
-    environment = TaskVectorEnv(_COPIES, disturbances=disturbances, **common)
+        # Older searches reported the tries that chose the plan; they cannot be resumed.
+        identity["told"] = "by tries drawn anew"
+    disturbances = Disturbances(action_noise, base_noise, packet_loss)
+    environment = TaskVectorEnv(_COPIES, disturbances=disturbances, **env_options)
     with closing(environment) as env, SEARCH_FOLDER.claim(out, identity, force=force):
-        rows = _read_rows(out / "targets.csv", targets.round(4))
-        for episode in range(len(rows), episodes):
-            alone, best = improve(
-                controller,
-                env,
-                targets[episode],
-                rounds,
-                seed + episode,
-                lambda outcome: not missed or outcome.reached < 0.5,
-            )
-            rows.append(
-                _Row._make(
-                    [episode, *targets[episode].round(4).tolist(), *_plain(alone), *_plain(best)]
-                )
-            )
-            write_text(
-                out / "targets.csv",
-                "".join(",".join(map(str, row)) + "\n" for row in [_Row._fields, *rows]),
-            )
-            print(f"{episode + 1} of {episodes}: {_told(alone)}; best {_told(best)}", flush=True)
+        rows = _search_all(controller, env, targets, rounds, seed, missed, out / "targets.csv")
     summary = identity | _summary(rows, env.max_actions)
     print(
-        f"\n{summary['controller']} in {space}, {episodes} targets: reaches {summary['reached']:.3f} in "
-        f"{summary['length']:.1f} steps (failures in full); with what was found {summary['best_reached']:.3f} in "
-        f"{summary['best_length']:.1f}. Never reached: {', '.join(map(str, summary['never'])) or 'none'}."
+        f"\n{controller.name} in {summary['space']}, {episodes} targets: reaches "
+        f"{summary['reached']:.3f} in {summary['length']:.1f} steps (failures in full); the best "
+        f"found reaches {summary['best_reached']:.3f} in {summary['best_length']:.1f}. "
+        f"Never reached: {', '.join(map(str, summary['never'])) or 'none'}."
     )
     if json is not None:
         write_json(json, summary)
+
+
+def _check_searchable(controller: Controller) -> None:
+    """Refuse a controller of a task that does not end with success, or of longer actions."""
+    from cdcsr.errors import CdcsrError
+
+    if controller.task not in ("reach", "precise", "quiet"):
+        raise CdcsrError(
+            f"{controller.name} is for the task {controller.task}; a search is for controllers of "
+            "reach, precise or quiet."
+        )
+    if controller.frame_skip != 1:
+        raise CdcsrError(
+            f"{controller.name} holds actions for {controller.frame_skip} steps; a search is for "
+            "controllers with one action a step."
+        )
+
+
+def _search_all(
+    controller: Controller,
+    env: TaskVectorEnv,
+    targets: NDArray[np.float64],
+    rounds: int,
+    seed: int,
+    missed: bool,
+    table: Path,
+) -> list[_Row]:
+    """Search at each target that the table lacks, and write the table after each of them."""
+    from cdcsr.files import write_text
+    from controllers.search import improve
+
+    rows = _read_rows(table, targets.round(4))
+    for episode in range(len(rows), len(targets)):
+        target = targets[episode]
+        alone, best = improve(
+            controller,
+            env,
+            target,
+            rounds,
+            seed + episode,
+            lambda outcome: not missed or outcome.reached < 0.5,
+        )
+        numbers = [*target.round(4).tolist(), *_plain(alone), *_plain(best)]
+        rows.append(_Row._make([episode, *numbers]))
+        lines = [",".join(map(str, row)) + "\n" for row in [_Row._fields, *rows]]
+        write_text(table, "".join(lines))
+        print(
+            f"{episode + 1} of {len(targets)}: {_text(alone)}; best {_text(best)}",
+            flush=True,
+        )
+    return rows
 
 
 def _plain(outcome: Outcome) -> tuple[float, float, float]:
     return round(outcome.reached, 3), round(outcome.length, 2), round(outcome.nearest, 5)
 
 
-def _told(outcome: Outcome) -> str:
-    return f"reached {outcome.reached:.2f}, {outcome.length:.0f} steps, nearest {1e3 * outcome.nearest:.0f} mm"
+def _text(outcome: Outcome) -> str:
+    nearest = 1e3 * outcome.nearest
+    return f"reached {outcome.reached:.2f}, {outcome.length:.0f} steps, nearest {nearest:.0f} mm"
 
 
 def _summary(rows: list[_Row], most: int) -> dict[str, Any]:
-    """Means over targets, and the targets nothing reaches."""
+    """Return means over targets, and the targets that no plan reaches."""
     return {
         "reached": sum(row.reached for row in rows) / len(rows),
         "length": sum(row.length for row in rows) / len(rows),
@@ -188,11 +215,11 @@ def _summary(rows: list[_Row], most: int) -> dict[str, Any]:
 
 
 def _read_rows(table: Path, targets: NDArray[np.float64]) -> list[_Row]:
-    """Return the rows that a search has found already, none if there is no table.
+    """Return the rows that a search has found already; none if there is no table.
 
     Args:
         table: `targets.csv`.
-        targets: those of this search, shape (episodes, 3), rounded as in the table.
+        targets: the targets of this search, shape (episodes, 3), rounded as in the table.
 
     Raises:
         CdcsrError: the table is damaged, or has other targets.
@@ -209,7 +236,7 @@ def _read_rows(table: Path, targets: NDArray[np.float64]) -> list[_Row]:
         rows = [_Row(int(line[0]), *line[1:]) for line in lines]
     except (OSError, ValueError, TypeError) as error:
         raise CdcsrError(
-            f"{table} is damaged ({error}); delete it to have it made again."
+            f"{table} is damaged ({error}); delete it, and the search makes it again."
         ) from None
     for episode, row in enumerate(rows):
         here = (row.x, row.y, row.z)
@@ -219,6 +246,6 @@ def _read_rows(table: Path, targets: NDArray[np.float64]) -> list[_Row]:
         ):
             raise CdcsrError(
                 f"{table} is of other targets: line {episode + 2} is of target {row.episode} at "
-                f"{here}; give another folder, or --force to begin anew."
+                f"{here}; give another folder, or --force to start anew."
             )
     return rows

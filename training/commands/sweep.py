@@ -1,8 +1,12 @@
-"""`cdcsr sweep`: how wrong the second plant may be."""
+"""`cdcsr sweep`: how far a plant may differ from the model."""
 
 from __future__ import annotations
 
 from pathlib import Path
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from training.measure.plant_sweep import Point
 
 
 def sweep(
@@ -19,47 +23,38 @@ def sweep(
     json: Path | None = None,
     csv: Path | None = None,
 ) -> None:
-    """Measure a policy on plants that are ever more wrong, until success halves.
+    """Measure a controller on plants that differ ever more from the model, until success halves.
 
     Args:
-        policy: folder of a policy or a run, name of a shipped policy, or "jacobian" for the demonstrator.
+        policy: folder of a policy or a run, name of a shipped policy, "jacobian" (the scripted
+            demonstrator), "nearest" (replays the nearest demonstration), package.module:Object (a
+            controller of your own), or a .zip of stable-baselines3.
         backend: an engine, or all.
-        space: anchor, floating, spatter or workspace; by default the one the policy was trained in.
-        task: what it is to do; by default what it was trained for.
-        axis: in what the plant is wrong: names of axes, or all.
-        episodes: at each level, run as one batch.
-        seed: of the targets; by default the one that nothing is tuned on.
-        robot: the robot of the scripted demonstrator; a policy brings its own.
+        space: anchor, floating, spatter or workspace; by default that of the training.
+        task: the task; by default the one it was trained for.
+        axis: the model errors to sweep: names of axes, or all.
+        episodes: how many episodes at each level, run as one batch.
+        seed: seed of the targets; by default the one that nothing is tuned on.
+        robot: the robot, unless the policy brings its own.
         json: also write rates, halving levels, and the episodes that end differently, to this file.
         csv: also write every episode to this file.
     """
-    import torch
-
     from cdcsr.files import write_json, write_text
+    from cdcsr.robot.description import load_robot
     from cdcsr.simulation.engines import chosen_backends
-    from training.commands.measured import find_controller, trained_space, trained_task
+    from training.commands.measured import find_controller, robot_of, set_threads
     from training.config.seeds import TEST_SEED
     from training.measure.plant_axes import find_axes
-    from training.measure.plant_sweep import (
-        Point,
-        Row,
-        between_engines,
-        between_plants,
-        format_sweep,
-        halvings,
-    )
+    from training.measure.plant_sweep import Row
     from training.measure.plant_sweep import sweep as measure
+    from training.measure.sweep_table import as_dict, format_sweep
 
-    torch.set_num_threads(1)
-    axes, backends = find_axes(axis), chosen_backends(backend)
-    controller, description = find_controller(policy, robot)
-    space, task = space or trained_space(controller), task or trained_task(controller)
+    set_threads()
+    axes, backends, description = find_axes(axis), chosen_backends(backend), load_robot(robot)
+    controller = find_controller(policy, description)
+    description = robot_of(controller, description)
+    space, task = space or controller.space or "anchor", task or controller.task
     seed = TEST_SEED if seed is None else seed
-
-    def progress(point: Point) -> None:
-        told = point.diverged if point.result is None else f"{point.result.rate:.2f}"
-        print(f"{point.axis.name} {point.level:g} in {point.backend}: {told}", flush=True)
-
     lines: list[list[Point]] = []
     nominal: dict[str, Point] = {}
     for each in axes:
@@ -74,44 +69,42 @@ def sweep(
                 episodes,
                 seed,
                 nominal.get(engine),
-                progress,
+                _progress,
                 task,
             )
             nominal[engine] = line[0]
             lines.append(line)
     points = [point for line in lines for point in line]
     print(
-        f"\n{controller.name}, {task} in {space}: {episodes} episodes at each level, target seed {seed}; nominal ",
-        end="",
+        f"\n{controller.name}, {task} in {space}: {episodes} episodes at each level, target seed "
+        f"{seed}; nominal {', '.join(f'{name} {_rate(p)}' for name, p in nominal.items())}\n"
     )
-    print(
-        ", ".join(
-            f"{engine} {p.result.rate:.2f}" for engine, p in nominal.items() if p.result is not None
-        )
-    )
-    print("\n" + format_sweep(points))
-    apart = between_engines(list(nominal.values()))
-    for difference in map(lambda d: d.as_dict(), apart):
-        target = ", ".join(f"{x:.3f}" for x in difference["target"])
-        where = f"succeeds only in {difference['succeeds']['backend']}"
-        print(
-            f"nominal, episode {difference['episode']}, target ({target}): {where}; {difference['reading']}"
-        )
+    print(format_sweep(points))
+    _show_differences(list(nominal.values()))
     if csv is not None:
         table = [Row._fields, *(row for point in points for row in point.rows)]
         write_text(csv, "".join(",".join(map(str, row)) + "\n" for row in table))
     if json is not None:
-        write_json(
-            json,
-            {
-                "policy": controller.name,
-                "task": task,
-                "space": space,
-                "seed": seed,
-                "episodes": episodes,
-                "points": [point.as_dict() for point in points],
-                "halvings": [halving.as_dict() for line in lines for halving in halvings(line)],
-                "between_engines": [difference.as_dict() for difference in between_engines(points)],
-                "between_plants": [difference.as_dict() for difference in between_plants(points)],
-            },
+        head = {"policy": controller.name, "task": task, "space": space}
+        write_json(json, {**head, "seed": seed, "episodes": episodes, **as_dict(lines)})
+
+
+def _rate(point: Point) -> str:
+    return point.diverged if point.result is None else f"{point.result.rate:.2f}"
+
+
+def _progress(point: Point) -> None:
+    print(f"{point.axis.name} {point.level:g} in {point.backend}: {_rate(point)}", flush=True)
+
+
+def _show_differences(nominal: list[Point]) -> None:
+    """Print the episodes that end differently in two engines on the nominal plant."""
+    from training.measure.sweep_table import between_engines
+
+    for difference in between_engines(nominal):
+        found = difference.as_dict()
+        target = ", ".join(f"{x:.3f}" for x in found["target"])
+        print(
+            f"nominal, episode {found['episode']}, target ({target}): succeeds only in "
+            f"{found['succeeds']['backend']}; {found['reading']}"
         )

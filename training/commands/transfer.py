@@ -4,10 +4,6 @@ from __future__ import annotations
 
 from collections import Counter
 from pathlib import Path
-from typing import TYPE_CHECKING
-
-if TYPE_CHECKING:
-    from controllers.controller import Controller
 
 
 def transfer(
@@ -22,44 +18,48 @@ def transfer(
     json: Path | None = None,
     plot: Path | None = None,
 ) -> None:
-    """Measure policies in every engine and space: the transfer matrix.
+    """Measure controllers in every engine and space: the transfer matrix.
 
     Args:
-        policies: folders of policies or runs, names of shipped policies, or "jacobian" for the demonstrator.
+        policies: folders of policies or runs, names of shipped policies, "jacobian" (the scripted
+            demonstrator), "nearest" (replays the nearest demonstration), package.module:Object (a
+            controller of your own), or .zip files of stable-baselines3.
         backend: an engine, or all.
         space: anchor, floating, spatter or workspace; or all, which is the first three.
-        task: what they are to do; by default what all of them were trained for.
-        episodes: in each cell, run as one batch.
-        seed: of the targets; by default the one that nothing is tuned on.
+        task: the task; by default the one that all of them were trained for.
+        episodes: how many episodes in each cell, run as one batch.
+        seed: seed of the targets; by default the one that nothing is tuned on.
         json: also write the results, each episode included, to this file.
-        plot: also draw which targets are reached, a panel for each cell, to this PNG.
+        plot: also draw which targets are reached, in a panel for each cell, to this PNG.
     """
     from cdcsr.errors import CdcsrError
     from cdcsr.robot.description import load_robot
     from cdcsr.tasks.spaces import SPACES
-    from controllers.jacobian import JacobianController
-    from training.commands.measured import report_cells, set_threads
-    from training.policy import find_policy
+    from training.commands.measured import find_controller, report_cells, robot_of, set_threads
 
     set_threads()
     if not policies:
         raise CdcsrError("No policy is given; name at least one folder of a policy or a run.")
     if len(set(policies)) < len(policies):
-        raise CdcsrError(f"A policy is given twice: {', '.join(policies)}; name each once.")
-    found = {name: find_policy(name) for name in policies if name != JacobianController.name}
-    learned = list(found.values())
-    robot = learned[0].robot if learned else load_robot("paper")
-    names = Counter(policy.name for policy in learned)
-    for path, policy in found.items():
-        if names[policy.name] > 1:  # of runs with the same options in different folders
-            policy.name = f"{policy.name} ({path})"
-    controllers: list[Controller] = [
-        found.get(name) or JacobianController(robot) for name in policies
-    ]
-    spaces = list(SPACES) if space == "all" else [space]
-    tasks = [task] if task else sorted({policy.task for policy in learned}) or ["reach"]
+        raise CdcsrError(f"A controller is given twice: {', '.join(policies)}; name each once.")
+    paper = load_robot("paper")
+    controllers = [find_controller(name, paper) for name in policies]
+    learned = [one for one in controllers if one.space is not None]
+    robot = robot_of(learned[0], paper) if learned else paper
+    if robot is not paper:  # scripted controllers act on the policies' robot
+        controllers = [
+            one if one.space is not None else find_controller(name, robot)
+            for name, one in zip(policies, controllers, strict=True)
+        ]
+    names = Counter(one.name for one in controllers)
+    for path, one in zip(policies, controllers, strict=True):
+        if names[one.name] > 1:  # such as runs with the same options in different folders
+            one.name = f"{one.name} ({path})"
+    tasks = [task] if task else sorted({one.task for one in learned}) or ["reach"]
     if len(tasks) > 1:
         raise CdcsrError(
-            f"The policies were trained for different tasks ({', '.join(tasks)}); choose one with --task."
+            f"The policies were trained for different tasks ({', '.join(tasks)}); "
+            "choose one with --task."
         )
+    spaces = list(SPACES) if space == "all" else [space]
     report_cells(controllers, robot, backend, spaces, episodes, seed, json, plot, None, tasks[0])

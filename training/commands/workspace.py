@@ -16,7 +16,7 @@ def workspace(
     plot: Path | None = None,
     json: Path | None = None,
 ) -> None:
-    """Map what the scripted Jacobian controller reaches in an episode, all around the arm.
+    """Map the points around the arm that the scripted demonstrator reaches in an episode.
 
     The map is an operation space: give its file as --space to other commands.
 
@@ -24,8 +24,8 @@ def workspace(
         robot: a shipped robot's name, or a path ending in .toml.
         out: the map, an .npz file.
         backend: the engine.
-        spacing: of the grid of targets that are tried, in m.
-        frame_skip: simulation steps each command is held for; fewer take longer.
+        spacing: the distance between the targets of the grid that are tried, in m.
+        frame_skip: how many simulation steps each command is held for; fewer take longer.
         plot: also draw the map into this PNG file.
         json: also write the summary to this file.
     """

@@ -1,4 +1,4 @@
-"""Measuring a controller: success and episode length on held-out targets, all episodes as one batch."""
+"""Measure a controller: success and episode length on held-out targets."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from cdcsr.tasks.catalogue import make_task
 from controllers.controller import Controller
 from controllers.rollout import rollout
 from training.config.seeds import TEST_SEED
-from training.measure.plant_axes import SecondPlant
+from training.measure.plant_axes import ActualPlant
 from training.measure.statistics import wilson
 from training.policy import Policy
 
@@ -25,24 +25,24 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Result:
-    """How a controller did in a batch of episodes, in the order of their targets."""
+    """The outcome of a batch of N episodes, in the order of their targets."""
 
     success: NDArray[np.bool_]
-    """(N,)."""
+    """Shape (N,)."""
     length: NDArray[np.int64]
-    """(N,) time steps of the robot that the controller is for; a failed episode counts in full."""
+    """In time steps of the controller's own robot, shape (N,); failures count in full."""
     distance: Array
-    """(N,) from tip to target at the end, in [m]."""
+    """From tip to target at the end, shape (N,), in [m]."""
     targets: Array
-    """(N, 3) world frame, in [m]."""
+    """Where the targets were at the start, shape (N, 3), in [m]."""
 
     @property
     def rate(self) -> float:
-        """kappa, the share of episodes that succeed."""
+        """The share of episodes that succeed (the paper's kappa)."""
         return float(self.success.mean())
 
     def summary(self) -> dict[str, Any]:
-        """The numbers that are reported."""
+        """Return the numbers that are reported."""
         low, high = wilson(int(self.success.sum()), len(self.success))
         return {
             "episodes": len(self.success),
@@ -65,23 +65,24 @@ def evaluate(
     centers: Array | None = None,
     frame_skip: int = 1,
     disturbances: Disturbances | None = None,
-    plant: SecondPlant | None = None,
+    plant: ActualPlant | None = None,
     task: str = "reach",
 ) -> Result:
-    """Run a controller from the start on targets drawn from a space.
+    """Measure a controller on targets drawn from a space.
 
     Args:
-        controller: who acts.
-        robot: the description of the robot it is for.
+        controller: the controller that acts.
+        robot: the description of the robot that it is for.
         backend: the engine.
         space: the operation space.
-        episodes: how many, run as one batch.
-        seed: of the targets (and of disturbances): the same seed gives every controller the same ones.
-        centers: the demonstrations' targets, shape (n, 3), for Floating and Spatter.
-        frame_skip: simulation steps each action is held for.
-        disturbances: what goes wrong between policy and robot.
+        episodes: how many episodes, run as one batch.
+        seed: seeds targets and disturbances; the same seed gives every controller the same ones.
+        centers: the targets of the demonstrations, shape (n, 3), for Floating and Spatter.
+        frame_skip: how many simulation steps each action is held for.
+        disturbances: the disturbances between controller and robot.
+        plant: the plant that is simulated; by default the robot. On a plant given here a policy
+            also acts if the plant's numbers differ from its own robot's.
         task: a name in :data:`cdcsr.tasks.catalogue.TASKS`.
-        plant: what is simulated, if it is not just `robot`. Given so, a policy acts on a robot it is not for.
 
     Raises:
         CdcsrError: an unknown engine or space, or no episodes.
@@ -89,7 +90,7 @@ def evaluate(
     if episodes < 1:
         raise CdcsrError(f"episodes must be at least 1, not {episodes}.")
     max_steps = make_task(task).max_steps
-    plant, disturbances = plant or SecondPlant(robot), disturbances or Disturbances()
+    plant, disturbances = plant or ActualPlant(robot), disturbances or Disturbances()
     if isinstance(controller, Policy) and plant.robot is not robot:
         controller = controller.on(plant.robot)
     if plant.observation_delay:

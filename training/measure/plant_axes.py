@@ -1,4 +1,4 @@
-"""Second plants: the ways in which the plant a policy is measured on may differ from the one it was trained on."""
+"""Model errors: the ways in which the plant may differ from the model a policy was trained on."""
 
 from __future__ import annotations
 
@@ -12,49 +12,50 @@ from cdcsr.simulation.plant import Parameters
 
 
 @dataclass(frozen=True)
-class SecondPlant:
-    """A plant to measure a policy on; with the policy's own robot and nothing else given, its own plant."""
+class ActualPlant:
+    """The plant that a controller is measured on; with only `robot` given, the model itself."""
 
     robot: Robot
-    """What is simulated. It may differ from the policy's in every number, not in its joints and cables."""
+    """The robot that is simulated. It has the model's joints and cables; all numbers may differ."""
     parameters: Parameters | None = None
-    """How all copies differ from that robot, if they do."""
+    """How all copies differ from that robot; None if they do not."""
     substeps: int = 1
-    """Time steps of that robot in one of the policy's robot, so that the control period stays what it was."""
+    """How many time steps of the plant make one of the model, so that the control period stays."""
     observation_delay: int = 0
-    """How many actions old an observation is when it arrives."""
+    """The age of an observation when it arrives, in actions."""
     own_settings: bool = False
-    """Step as the engine does by itself: see :meth:`cdcsr.simulation.contract.Simulation.use_own_settings`."""
+    """Step as the engine does by itself; see
+    :meth:`cdcsr.simulation.contract.Simulation.use_own_settings`."""
     own_cables: bool = False
-    """Hold cables as the engine does by itself, with the softness of the robot's description."""
+    """Hold cables as the engine does by itself, with the softness in the robot's description."""
 
 
 @dataclass(frozen=True)
 class Axis:
-    """One way to be wrong, and how wrong to be."""
+    """One kind of model error, and the levels at which it is measured."""
 
     name: str
     about: str
     unit: str
-    """Of the levels; "factor" for factors on the description's number, which 1 leaves alone."""
+    """The unit of the levels; "factor" if they multiply the description's number."""
     up: tuple[float, ...]
-    """Levels above nominal, outwards; the last one is the cap."""
+    """The levels above nominal, outwards; the last one is the largest measured."""
     down: tuple[float, ...]
-    """Levels below nominal, outwards."""
-    build: Callable[[Robot, float], SecondPlant]
-    """The plant at a level."""
+    """The levels below nominal, outwards."""
+    build: Callable[[Robot, float], ActualPlant]
+    """Makes the plant at a level."""
     idle: frozenset[str] = frozenset()
-    """Engines to which it means nothing: there is the same plant at all levels."""
+    """The engines in which the plant is the same at all levels."""
 
     @property
     def title(self) -> str:
-        """For a figure or a table."""
+        """The name for figures and tables."""
         words = self.name.replace("_", " ")
         return words if self.unit == "switch" else f"{words} [{self.unit}]"
 
     @property
     def nominal(self) -> float:
-        """The level at which nothing is wrong."""
+        """The level without an error."""
         return 1.0 if self.unit == "factor" else 0.0
 
     @property
@@ -62,18 +63,18 @@ class Axis:
         """All levels: nominal, then outwards up, then outwards down."""
         return (self.nominal, *self.up, *self.down)
 
-    def plant(self, robot: Robot, level: float) -> SecondPlant:
-        """The plant at a level.
+    def plant(self, robot: Robot, level: float) -> ActualPlant:
+        """Return the plant at a level.
 
         Raises:
-            CdcsrError: it is none that this axis can be at.
+            CdcsrError: the level is none of this axis.
         """
         if level == self.nominal:
-            return SecondPlant(robot)
+            return ActualPlant(robot)
         return self.build(robot, level)
 
     def between(self, a: float, b: float, share: float) -> float:
-        """The level that lies a share of the way from a to b: by ratio for factors, else by difference."""
+        """Interpolate between levels a and b: by ratio for factors, else by difference."""
         if self.unit == "factor" and min(a, b) > 0:
             return exp(log(a) + share * (log(b) - log(a)))
         return a + share * (b - a)
@@ -85,50 +86,53 @@ _DELAYS = (1.0, 2.0, 4.0, 8.0, 16.0, 32.0, 64.0)
 
 
 def _factor(name: str, about: str) -> Axis:
-    """An axis that is a factor of :class:`Parameters`."""
+    """Make the axis of a factor in :class:`Parameters`."""
     return Axis(
         name, about, "factor", _UP, _DOWN, lambda robot, level: _with_parameter(robot, name, level)
     )
 
 
-def _with_parameter(robot: Robot, name: str, level: float) -> SecondPlant:
-    return SecondPlant(robot, Parameters(**{name: level}))
+def _with_parameter(robot: Robot, name: str, level: float) -> ActualPlant:
+    return ActualPlant(robot, Parameters(**{name: level}))
 
 
 def _whole(name: str, level: float) -> int:
     if level != int(level):
-        raise CdcsrError(f"{name} counts whole steps, not {level:g}.")
+        raise CdcsrError(f"{name} must be a whole number of steps, not {level:g}.")
     return int(level)
 
 
-def _softer(robot: Robot, level: float) -> SecondPlant:
-    """MuJoCo's soft limits instead of cables that hold: their recovery time times `level`, and their compliance
-    (1 - d) / d, where d is the impedance, too."""
+def _softer(robot: Robot, level: float) -> ActualPlant:
+    """Make cables soft: MuJoCo's soft limits with recovery time and compliance times `level`.
+
+    The compliance is (1 - d) / d, where d is the impedance.
+    """
     data = robot.model_dump()
     data["constraint"]["recovery_time"] *= level
     impedance = robot.mujoco.impedance
     data["mujoco"]["impedance"] = 1 / (1 + level * (1 - impedance) / impedance)
-    return SecondPlant(Robot.model_validate(data), own_cables=True)
+    return ActualPlant(Robot.model_validate(data), own_cables=True)
 
 
-def _time_step(robot: Robot, level: float) -> SecondPlant:
-    """The time step times `level`, of which a whole number makes the control period."""
+def _time_step(robot: Robot, level: float) -> ActualPlant:
+    """Multiply the time step by `level`; a whole number of steps must make the control period."""
     substeps = round(1 / level) if 0 < level < 1 else 0
     if substeps < 1 or abs(substeps * level - 1) > 1e-9:
         raise CdcsrError(
-            f"time_step must be 1 over a whole number, so that the control period stays; found {level:g}."
+            "time_step must be 1 over a whole number, so that the control period stays; "
+            f"found {level:g}."
         )
-    return SecondPlant(
+    return ActualPlant(
         robot.model_copy(update={"time_step": robot.time_step / substeps}), substeps=substeps
     )
 
 
-def _own_settings(robot: Robot, level: float) -> SecondPlant:
+def _own_settings(robot: Robot, level: float) -> ActualPlant:
     if level != 1:
         raise CdcsrError(
             f"engine_defaults is 0 (settings that agree) or 1 (the engine's own), not {level:g}."
         )
-    return SecondPlant(robot, own_settings=True)
+    return ActualPlant(robot, own_settings=True)
 
 
 AXES: dict[str, Axis] = {
@@ -144,7 +148,7 @@ AXES: dict[str, Axis] = {
         _factor("slider_damping", "friction of all sliders"),
         Axis(
             "rest_length_offset",
-            "how much all cables are stretched; negative is shortened",
+            "what is added to the rest length of all cables; negative is shortened",
             "m",
             (0.005, 0.01, 0.02, 0.05, 0.1, 0.2, 0.5),
             (-0.005, -0.01, -0.02, -0.05, -0.1, -0.19),
@@ -156,7 +160,7 @@ AXES: dict[str, Axis] = {
             "steps",
             _DELAYS,
             (),
-            lambda robot, level: SecondPlant(
+            lambda robot, level: ActualPlant(
                 robot, Parameters(command_delay=_whole("command_delay", level))
             ),
         ),
@@ -166,13 +170,13 @@ AXES: dict[str, Axis] = {
             "actions",
             _DELAYS,
             (),
-            lambda robot, level: SecondPlant(
+            lambda robot, level: ActualPlant(
                 robot, observation_delay=_whole("observation_delay", level)
             ),
         ),
         Axis(
             "cable_softness",
-            "recovery time and compliance of MuJoCo's own soft cables (PyBullet's cables do not stretch)",
+            "recovery time and compliance of MuJoCo's own soft cables (PyBullet's do not stretch)",
             "factor",
             (2.0, 4.0, 8.0, 16.0, 32.0, 64.0, 128.0),
             (),
@@ -181,7 +185,7 @@ AXES: dict[str, Axis] = {
         ),
         Axis(
             "time_step",
-            "the second plant's time step; a coarser one would change the control period",
+            "time step of the plant; a coarser one would change the control period",
             "factor",
             (),
             (0.5, 0.25, 0.125),
@@ -197,17 +201,17 @@ AXES: dict[str, Axis] = {
         ),
     )
 }
-"""Every way to be wrong, by its name."""
+"""Every kind of model error, by name."""
 
 
 def find_axes(names: tuple[str, ...]) -> list[Axis]:
-    """The axes of those names; "all" stands for all.
+    """Return the axes of some names; "all" stands for all axes.
 
     Raises:
-        CdcsrError: there is no such axis, or none is named.
+        CdcsrError: there is no axis of that name, or no name is given.
     """
     if not names:
-        raise CdcsrError(f"No axis is named; name some of {', '.join(AXES)}, or all.")
+        raise CdcsrError(f"No axis is given; name some of {', '.join(AXES)}, or all.")
     for name in names:
         if name != "all" and name not in AXES:
             raise CdcsrError(unknown_choice("axis", name, [*AXES, "all"]))

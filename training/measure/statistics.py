@@ -1,4 +1,4 @@
-"""Statistics of the study: what a handful of seeds, a hundred episodes each, allow to be said."""
+"""Statistics of a few seeds with some hundred episodes each."""
 
 from __future__ import annotations
 
@@ -11,10 +11,10 @@ from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
 Statistic = Callable[[NDArray[Any]], Array]
-"""From scores of shape (..., runs, tasks) to one number each, shape (...)."""
+"""Maps scores of shape (..., runs, tasks) to one number each, shape (...)."""
 
 REPETITIONS = 50_000
-"""Of a bootstrap; as rliable has it."""
+"""The number of resamples of a bootstrap, as in rliable."""
 _QUANTILES = (0.025, 0.975)
 
 
@@ -26,34 +26,36 @@ class Estimate:
     low: float
     high: float
     over: Literal["seeds", "episodes"] = "seeds"
-    """What the interval speaks about: other seeds (bootstrap), or other episodes of the same policy (Wilson)."""
+    """The interval is about other seeds (bootstrap), or other episodes of one policy (Wilson)."""
 
 
 def wilson(successes: int, total: int) -> tuple[float, float]:
-    """The 95 % interval of a proportion (Wilson 1927): of none its lower end is 0, of all its upper end is 1.
+    """Return the 95 % interval of a proportion (Wilson 1927).
+
+    Without successes its lower end is 0; without failures its upper end is 1.
 
     Args:
-        successes: how many of `total` succeeded.
+        successes: how many of `total` episodes succeeded.
         total: at least one.
     """
-    from scipy.stats import (
-        binomtest,  # takes half a second, which commands that need none should not
-    )
+    # This import takes half a second, which commands that need no interval should not.
+    from scipy.stats import binomtest
 
     interval = binomtest(successes, total).proportion_ci(0.95, method="wilson")
     return float(interval.low), float(interval.high)
 
 
 def mean(scores: NDArray[Any]) -> Array:
-    """The mean over runs and tasks."""
+    """Return the mean over runs and tasks."""
     return np.asarray(scores, dtype=float).mean(axis=(-2, -1))
 
 
 def iqm(scores: NDArray[Any]) -> Array:
-    """The interquartile mean over runs and tasks together: of n sorted scores, n // 4 are cut at either end.
+    """Return the interquartile mean over runs and tasks together.
 
-    Less at the mercy of one odd seed than the mean, and less wasteful than the median
-    (Agarwal et al. 2021, "Deep reinforcement learning at the edge of the statistical precipice").
+    Of n sorted scores, n // 4 are cut at either end. One odd seed changes it less than the mean,
+    and it uses more of the scores than the median (Agarwal et al. 2021, "Deep reinforcement
+    learning at the edge of the statistical precipice").
     """
     scores = np.asarray(scores, dtype=float)
     flat = np.sort(scores.reshape(*scores.shape[:-2], -1), axis=-1)
@@ -64,13 +66,15 @@ def iqm(scores: NDArray[Any]) -> Array:
 def bootstrap(
     scores: NDArray[Any], statistic: Statistic, repetitions: int = REPETITIONS, seed: int = 0
 ) -> tuple[float, float]:
-    """The 95 % percentile interval of a statistic, by stratified bootstrap: runs are redrawn in each task by itself.
+    """Return the 95 % percentile interval of a statistic, by stratified bootstrap.
+
+    Runs are redrawn for each task separately.
 
     Args:
         scores: shape (runs, tasks).
-        statistic: :func:`mean`, :func:`iqm`, or alike.
-        repetitions: how many samples are redrawn.
-        seed: of what is redrawn.
+        statistic: :func:`mean`, :func:`iqm`, or a similar function.
+        repetitions: the number of resamples.
+        seed: seeds the resamples.
     """
     runs, tasks = scores.shape
     chosen = np.random.default_rng(seed).integers(runs, size=(repetitions, runs, tasks))
@@ -79,17 +83,18 @@ def bootstrap(
 
 
 def over_seeds(scores: NDArray[Any], statistic: Statistic = mean) -> Estimate:
-    """A statistic with its bootstrap interval; scores have shape (runs, tasks)."""
+    """Return a statistic with its bootstrap interval; scores have shape (runs, tasks)."""
     return Estimate(float(statistic(scores)), *bootstrap(scores, statistic))
 
 
 def rate(success: Sequence[NDArray[np.bool_]]) -> Estimate:
-    """Success of one algorithm in one setting: the mean over its seeds.
+    """Return the success of one algorithm in one setting: the mean over its seeds.
 
-    With two seeds or more the interval is the bootstrap's over seeds; with one it can only be Wilson's over episodes.
+    With two seeds or more the interval is the bootstrap's over seeds; with one seed it is Wilson's
+    over episodes.
 
     Args:
-        success: of each seed, of each of its episodes.
+        success: for each seed, whether each of its episodes succeeded.
     """
     if len(success) == 1:
         return pooled(success)
@@ -97,19 +102,19 @@ def rate(success: Sequence[NDArray[np.bool_]]) -> Estimate:
 
 
 def pooled(success: Sequence[NDArray[np.bool_]]) -> Estimate:
-    """Success over the episodes of all seeds together, with Wilson's interval: it speaks of these policies only."""
+    """Return success over all episodes with Wilson's interval, which is for these policies only."""
     everything = np.concatenate(success)
     low, high = wilson(int(everything.sum()), len(everything))
     return Estimate(float(everything.mean()), low, high, "episodes")
 
 
 def band(curves: Array, repetitions: int = 2_000, seed: int = 0) -> tuple[Array, Array, Array]:
-    """The mean of learning curves and, at each point, its 95 % bootstrap interval over seeds.
+    """Return the mean of learning curves and, at each point, its 95 % interval over seeds.
 
     Args:
         curves: shape (seeds, points).
-        repetitions: how many samples are redrawn.
-        seed: of what is redrawn.
+        repetitions: the number of resamples.
+        seed: seeds the resamples.
 
     Returns:
         Mean, low and high, each of shape (points,); for one curve all three are that curve.
@@ -124,23 +129,23 @@ def band(curves: Array, repetitions: int = 2_000, seed: int = 0) -> tuple[Array,
 
 
 def disagreement(first: NDArray[np.bool_], second: NDArray[np.bool_]) -> tuple[int, int]:
-    """Episodes on the same targets that succeed only in the first engine, and only in the second."""
+    """Count the episodes that succeed only in the first engine, and only in the second."""
     return int((first & ~second).sum()), int((second & ~first).sum())
 
 
 @dataclass(frozen=True)
 class Sweep:
-    """One policy on plants along one axis."""
+    """The successes of one policy on plants along one axis."""
 
     levels: Array
-    """Ascending, shape (L,); the level that was trained on is among them."""
+    """Ascending, shape (L,); they include the level of training."""
     outcomes: NDArray[np.bool_]
     """Successes, shape (episodes, L); an episode has the same target at all levels."""
 
 
 @dataclass(frozen=True)
 class Crossing:
-    """Where success falls to half of what it is for the plant that was trained on. Infinite: not within the sweep."""
+    """The level at which success falls to half of the nominal; infinite if beyond the sweep."""
 
     level: float
     low: float
@@ -154,21 +159,23 @@ def halving(
     repetitions: int = 2_000,
     seed: int = 0,
 ) -> Crossing | None:
-    """The level nearest to the nominal one, on one side of it, at which success halves: the mean over seeds.
+    """Return the level on one side of nominal at which success first halves: the mean over seeds.
 
-    Success is interpolated linearly between levels. Seeds may have been swept over different levels. The interval
-    redraws seeds, and for each its episodes, the same ones at all levels; what half is redraws with them.
+    Success is interpolated linearly between levels. Seeds may have been swept over different
+    levels. The interval redraws seeds and, for each seed, its episodes, the same ones at all
+    levels; half of the nominal success is computed anew from each resample.
 
     Args:
-        sweeps: of each seed.
-        nominal: the level that was trained on.
-        side: where to look.
-        repetitions: how many samples are redrawn.
-        seed: of what is redrawn.
+        sweeps: the sweep of each seed.
+        nominal: the level of training.
+        side: the side of `nominal` to look at.
+        repetitions: the number of resamples.
+        seed: seeds the resamples.
 
     Returns:
-        The level, infinite with the side's sign if success does not halve within the sweep of every seed; or None:
-        some seed was not swept on that side, or never succeeds at the nominal level.
+        The level; it is infinite, with the side's sign, if success does not halve within the sweep
+        of every seed. None if a seed was not swept on that side, or never succeeds at the nominal
+        level.
     """
     rng = np.random.default_rng(seed)
     never = np.inf if side == "above" else -np.inf
@@ -194,7 +201,7 @@ def halving(
 
 
 def _first_half(levels: Array, rates: Array, never: float) -> Array:
-    """For each row of `rates` (B, L), the first level at which it is down to half its first value."""
+    """Return for each row of `rates` (B, L) the first level where it is half of its first value."""
     half = rates[:, :1] / 2
     down = rates <= half
     down[:, 0] = False

@@ -1,4 +1,4 @@
-"""The transfer matrix: every policy in every engine and space, on held-out targets."""
+"""Measure controllers in every engine and space on held-out targets: the transfer matrix."""
 
 from __future__ import annotations
 
@@ -16,7 +16,6 @@ from cdcsr.tables import markdown
 from controllers.controller import Controller
 from training.config.seeds import TEST_SEED
 from training.measure.evaluation import Result, evaluate
-from training.policy import Policy
 
 
 @dataclass(frozen=True)
@@ -25,15 +24,15 @@ class Cell:
 
     controller: str
     trained_in: str
-    """Engine it was trained in; "-" for a scripted controller."""
+    """The engine it was trained in; "-" if it was not trained."""
     trained_on: str
-    """Space it was trained in; "-" for a scripted controller."""
+    """The space it was trained in; "-" if it was not trained."""
     backend: str
     space: str
     result: Result
 
     def as_dict(self) -> dict[str, Any]:
-        """The cell as plain data, each episode included."""
+        """Return the cell as plain data, each episode included."""
         return {
             "controller": self.controller,
             "trained_in": self.trained_in,
@@ -60,28 +59,28 @@ def transfer(
     """Measure controllers in engines and spaces.
 
     Args:
-        controllers: policies, or scripted ones.
-        robot: the description they are all run on.
-        backends, spaces: where.
-        episodes: in each cell, as one batch.
-        seed: of the targets, the same in every cell of a space; but Floating and Spatter surround the demonstrations
-            of each policy, which may be others than those of the next, see :func:`other_targets`.
-        disturbances: what goes wrong between policy and robot.
-        task: what they are to do.
-        progress: called with each cell as it is done.
+        controllers: policies and scripted controllers.
+        robot: the description that they all act on.
+        backends, spaces: names of engines and operation spaces.
+        episodes: how many episodes in each cell, as one batch.
+        seed: seeds the targets. They are the same in every cell of a space, except that Floating
+            and Spatter surround the demonstrations of each policy; see :func:`other_targets`.
+        disturbances: the disturbances between controller and robot.
+        task: the name of the task.
+        progress: called with each finished cell.
 
     Returns:
-        Cells, the engine varying fastest.
+        The cells; the engine varies fastest.
 
     Raises:
-        CdcsrError: two controllers have one name, by which cells are compared.
+        CdcsrError: two controllers have the same name.
     """
     names = [controller.name for controller in controllers]
     if len(set(names)) < len(names):
-        raise CdcsrError(f"Controllers must have names of their own; found {', '.join(names)}.")
+        raise CdcsrError(f"Controllers must have different names; found {', '.join(names)}.")
     cells = []
     for controller in controllers:
-        policy = controller if isinstance(controller, Policy) else None
+        trained = controller.engine or "-", controller.space or "-"
         for space in spaces:
             for backend in backends:
                 result = evaluate(
@@ -91,13 +90,10 @@ def transfer(
                     space,
                     episodes,
                     seed,
-                    centers=None if policy is None else policy.centers,
-                    frame_skip=1 if policy is None else policy.frame_skip,
+                    centers=controller.centers,
+                    frame_skip=controller.frame_skip,
                     disturbances=disturbances,
                     task=task,
-                )
-                trained = (
-                    ("-", "-") if policy is None else (policy.card["backend"], policy.card["space"])
                 )
                 cells.append(Cell(controller.name, *trained, backend, space, result))
                 if progress:
@@ -107,24 +103,24 @@ def transfer(
 
 @dataclass(frozen=True)
 class Disagreement:
-    """Paired comparison of one controller in two engines on the same targets."""
+    """The paired comparison of one controller in two engines on the same targets."""
 
     controller: str
     space: str
     backends: tuple[str, str]
     only_first: list[int]
-    """Episodes that succeed only in the first engine."""
+    """The episodes that succeed only in the first engine."""
     only_second: list[int]
-    """Episodes that succeed only in the second engine."""
+    """The episodes that succeed only in the second engine."""
     episodes: int
 
     @property
     def share(self) -> float:
-        """Share of the episodes that end differently."""
+        """The share of the episodes that end differently."""
         return (len(self.only_first) + len(self.only_second)) / self.episodes
 
     def as_dict(self) -> dict[str, Any]:
-        """Plain data."""
+        """Return the comparison as plain data."""
         first, second = self.backends
         return {
             "controller": self.controller,
@@ -136,7 +132,7 @@ class Disagreement:
 
 
 def disagreements(cells: Sequence[Cell]) -> list[Disagreement]:
-    """The paired comparison of every two engines, for each controller and space."""
+    """Compare every two engines, for each controller and space."""
     groups: dict[tuple[str, str], list[Cell]] = {}
     for cell in cells:
         groups.setdefault((cell.controller, cell.space), []).append(cell)
@@ -154,21 +150,21 @@ def disagreements(cells: Sequence[Cell]) -> list[Disagreement]:
 
 
 def other_targets(cells: Sequence[Cell]) -> list[str]:
-    """A sentence on each controller and space whose targets are not those of the space's first controller."""
+    """Return a sentence for each cell whose targets differ from the first controller's there."""
     first: dict[str, Cell] = {}
     found: dict[tuple[str, str], str] = {}
     for cell in cells:
         usual = first.setdefault(cell.space, cell)
         if not np.array_equal(cell.result.targets, usual.result.targets):
             found[cell.controller, cell.space] = (
-                f"{cell.controller} has other targets in {cell.space} than {usual.controller}: those around its own"
-                " demonstrations. The two are not to be compared there."
+                f"{cell.controller} has other targets in {cell.space} than {usual.controller}: "
+                "they surround its own demonstrations. Do not compare the two there."
             )
     return list(found.values())
 
 
 def format_table(cells: Sequence[Cell]) -> str:
-    """The matrix as a Markdown table, one row for each controller and space, and the paired disagreement."""
+    """Return the matrix as a Markdown table, with a row for each controller and space."""
     backends = list(dict.fromkeys(cell.backend for cell in cells))
     pairs = {(d.controller, d.space, d.backends): d for d in disagreements(cells)}
     head = ["controller", "trained in", "space"]

@@ -182,7 +182,7 @@ def test_policies_of_one_name_are_told_apart(tmp_path: Path) -> None:
     assert len(data["cells"]) == 6
     assert len(data["disagreements"]) == 3
     assert len({pair["controller"] for pair in data["disagreements"]}) == 3
-    with pytest.raises(CdcsrError, match="names of their own"):
+    with pytest.raises(CdcsrError, match="different names"):
         transfer([policy, policy], policy.robot, ["mujoco"], ["anchor"], 2)
     with pytest.raises(CdcsrError, match="given twice"):
         transfer_command(["jacobian", "jacobian"])

@@ -20,15 +20,9 @@ from training.measure import evaluation
 from training.measure import plant_sweep as sweeps
 from training.measure import transfer_matrix as transfer
 from training.measure.evaluation import Result, evaluate
-from training.measure.plant_axes import AXES, SecondPlant
-from training.measure.plant_sweep import (
-    Point,
-    between_plants,
-    differences,
-    format_sweep,
-    halvings,
-    sweep,
-)
+from training.measure.plant_axes import AXES, ActualPlant
+from training.measure.plant_sweep import Point, halvings, sweep
+from training.measure.sweep_table import between_plants, differences, format_sweep
 from training.policy import Policy
 
 Array = NDArray[np.float64]
@@ -141,7 +135,7 @@ def test_a_plant_adds_its_delay_to_the_disturbances(
 
     monkeypatch.setattr(evaluation, "TaskVectorEnv", Noted)
     noise = Disturbances(action_noise=0.1, observation_delay=1)
-    for plant in (None, SecondPlant(small, observation_delay=4)):
+    for plant in (None, ActualPlant(small, observation_delay=4)):
         evaluate(
             Still(), small, "mujoco", "anchor", 1, frame_skip=50, disturbances=noise, plant=plant
         )

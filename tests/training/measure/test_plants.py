@@ -25,15 +25,8 @@ from training.config.seeds import VALIDATION_SEED
 from training.measure import plant_sweep as sweeps
 from training.measure.evaluation import Result, evaluate
 from training.measure.plant_axes import AXES, Axis, find_axes
-from training.measure.plant_sweep import (
-    Point,
-    between_engines,
-    differences,
-    directions,
-    format_sweep,
-    halvings,
-    sweep,
-)
+from training.measure.plant_sweep import Point, directions, halvings, sweep
+from training.measure.sweep_table import between_engines, differences, format_sweep
 from training.policy import Policy, find_policy
 from training.study.execute import evaluations
 
@@ -199,7 +192,7 @@ def test_every_level_makes_a_plant(axis: Axis, paper: Robot) -> None:
     [
         ("time_step", 2.0, "must be 1 over a whole number"),
         ("time_step", 0.3, "must be 1 over a whole number"),
-        ("command_delay", 1.5, "counts whole steps, not 1.5"),
+        ("command_delay", 1.5, "must be a whole number of steps, not 1.5"),
         ("engine_defaults", 0.5, "is 0 .* or 1"),
     ],
 )
@@ -213,7 +206,7 @@ def test_levels_that_are_none_are_refused(
 def test_an_unknown_axis_is_told() -> None:
     with pytest.raises(CdcsrError, match=r"Unknown axis 'link_mas'. Did you mean 'link_mass'\?"):
         find_axes(("link_mas",))
-    with pytest.raises(CdcsrError, match="No axis is named"):
+    with pytest.raises(CdcsrError, match="No axis is given"):
         find_axes(())
     assert [axis.name for axis in find_axes(("servo_gain", "link_mass"))] == [
         "link_mass",
@@ -335,7 +328,7 @@ def test_differences_name_the_episode_and_a_reading() -> None:
         other = Point("pybullet", "anchor", axis, 2.0, _result([False], distance), task="capture")
         missed.append(differences(captured, other)[0].as_dict()["reading"])
     # Near is not enough to capture, and 240 of 500 steps are not late.
-    assert missed[0] == "at the target, and not as capture asks: ends 20 mm from it"
+    assert missed[0] == "at the target, but not as capture asks: ends 20 mm from it"
     assert missed[1] == "another path: ends 200 mm from the target"
 
 

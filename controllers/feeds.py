@@ -1,0 +1,122 @@
+"""Let a controller act outside the episode loop: on a simulation, a dm_env environment or a log.
+
+None of these judges whether the tip reaches its target; :mod:`controllers.rollout` does.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cdcsr.simulation.contract import Simulation, State
+from controllers.controller import Conditions, Controller, Target
+from controllers.rollout import seen_in
+
+Array = NDArray[np.float64]
+
+
+def act_on_simulation(
+    controller: Controller,
+    simulation: Simulation,
+    targets: Array,
+    actions: int,
+    frame_skip: int = 1,
+    stays: bool = True,
+) -> Array:
+    """Let a controller act on a simulation that was just reset, towards targets that rest.
+
+    Args:
+        controller: the controller that acts; it sees the true state.
+        simulation: num copies of a robot.
+        targets: shape (num, 3), in [m].
+        actions: how many actions to make.
+        frame_skip: how many simulation steps each action is held for.
+        stays: whether the tip is to stay at the target.
+
+    Returns:
+        The servo set-points that were sent, shape (num, actions, C), in [m].
+    """
+    robot, sent = simulation.robot, []
+    eta = np.array([servo.eta for servo in robot.servos])
+    period = robot.time_step * frame_skip
+    controller.begin(Conditions(robot, period, stays, simulation.engine, simulation.dynamics))
+    target = Target(targets, np.zeros_like(targets))
+    for k in range(actions):
+        time = np.full(simulation.num, k * period)
+        command = np.clip(controller.act(simulation.state(), target, time), -eta, 0)
+        simulation.step(command, frame_skip)
+        sent.append(command)
+    return np.stack(sent, axis=1)
+
+
+class _TimeStep(Protocol):
+    @property
+    def observation(self) -> Mapping[str, Array]: ...
+
+    def last(self) -> bool: ...
+
+
+class DmEnvironment(Protocol):
+    """The methods of a `dm_env` environment of dm_control that are used here."""
+
+    def reset(self) -> _TimeStep: ...
+
+    def step(self, action: Array) -> _TimeStep: ...
+
+    def control_timestep(self) -> float: ...
+
+
+def act_on_dm_environment(
+    controller: Controller, environment: DmEnvironment, conditions: Conditions
+) -> tuple[Array, Array]:
+    """Let a controller act for one episode of a `dm_env` environment.
+
+    Args:
+        controller: the controller that acts; it sees eq. (1), as the environment shows it.
+        environment: it observes the parts of eq. (1), in that order.
+        conditions: the conditions of the episode.
+
+    Returns:
+        The observations, shape (T + 1, observation size), and the servo set-points, shape (T, C),
+        in [m].
+    """
+    step, observations, actions = environment.reset(), [], []
+    controller.begin(conditions)
+    while True:
+        observation = np.concatenate([np.ravel(part) for part in step.observation.values()])
+        observations.append(observation)
+        if step.last():
+            return np.array(observations), np.array(actions)
+        time = np.array([len(actions) * conditions.period])
+        state, target = seen_in(observation[None], time, conditions.robot)
+        actions.append(controller.act(state, target, time)[0])
+        step = environment.step(actions[-1])
+
+
+def commands_for_log(
+    controller: Controller,
+    states: Sequence[State],
+    targets: Sequence[Target],
+    conditions: Conditions,
+) -> Array:
+    """Return the commands that a controller would have given at each moment of a log.
+
+    Args:
+        controller: the controller; it sees the states of the log.
+        states: T moments of num copies, one period apart from the start of an episode on.
+        targets: the targets at these moments.
+        conditions: the conditions of the log. A controller that needs the equation of motion must
+            find here the one of each moment in turn.
+
+    Returns:
+        Servo set-points, shape (num, T, C), in [m].
+    """
+    controller.begin(conditions)
+    commands = [
+        controller.act(state, target, np.full(len(state.time), k * conditions.period))
+        for k, (state, target) in enumerate(zip(states, targets, strict=True))
+    ]
+    return np.stack(commands, axis=1)

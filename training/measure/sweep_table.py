@@ -1,0 +1,144 @@
+"""Show a sweep over model errors: its table, and the episodes that end differently."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import combinations
+from typing import Any
+
+import numpy as np
+
+from cdcsr.tables import markdown
+from cdcsr.tasks.catalogue import make_task
+from cdcsr.tasks.task import Task
+from training.measure.plant_sweep import Point, directions, halvings
+from training.measure.statistics import disagreement
+
+
+@dataclass(frozen=True)
+class Difference:
+    """An episode that ends differently on two plants: in another engine, or at another level."""
+
+    episode: int
+    better: Point
+    """The point at which it succeeds."""
+    worse: Point
+    """The point at which it fails."""
+
+    def as_dict(self) -> dict[str, Any]:
+        """Return plain data: which episode, and why it may have ended differently."""
+        good, bad, i = self.better.result, self.worse.result, self.episode
+        assert good is not None
+        assert bad is not None
+        distance, length = float(bad.distance[i]), int(good.length[i])
+        return {
+            "axis": self.worse.axis.name,
+            "episode": i,
+            "target": good.targets[i].tolist(),
+            "succeeds": {
+                "backend": self.better.backend,
+                "level": self.better.level,
+                "length": length,
+            },
+            "fails": {
+                "backend": self.worse.backend,
+                "level": self.worse.level,
+                "distance": distance,
+            },
+            "reading": _reading(make_task(self.worse.task), distance, length),
+        }
+
+
+def _reading(task: Task, distance: float, length: int) -> str:
+    """Say why an episode may have failed, from its last distance and the success's length."""
+    threshold, millimetres = task.threshold, distance * 1e3
+    if distance <= threshold:
+        return f"at the target, but not as {task.name} asks: ends {millimetres:.0f} mm from it"
+    if distance <= 2 * threshold:
+        return (
+            f"near miss: ends {millimetres:.0f} mm from the target, "
+            f"{threshold * 1e3:.0f} are allowed"
+        )
+    if length > 0.9 * task.max_steps:
+        return f"late: succeeds after {length} of {task.max_steps} steps"
+    return f"another path: ends {millimetres:.0f} mm from the target"
+
+
+def differences(first: Point, second: Point) -> list[Difference]:
+    """Return the episodes that succeed at one of two points only."""
+    if first.result is None or second.result is None:
+        return []
+    a, b = first.result.success, second.result.success
+    found = [Difference(int(i), first, second) for i in np.flatnonzero(a & ~b)]
+    found += [Difference(int(i), second, first) for i in np.flatnonzero(b & ~a)]
+    return sorted(found, key=lambda difference: difference.episode)
+
+
+def between_engines(points: Sequence[Point]) -> list[Difference]:
+    """Return the episodes that end differently in two engines on the same plant."""
+    groups: dict[tuple[str, float], list[Point]] = {}
+    for point in points:
+        groups.setdefault((point.axis.name, point.level), []).append(point)
+    return [
+        d for group in groups.values() for a, b in combinations(group, 2) for d in differences(a, b)
+    ]
+
+
+def between_plants(points: Sequence[Point]) -> list[Difference]:
+    """Return the episodes that end differently in one engine on the nominal and a changed plant."""
+    nominal = {(p.axis.name, p.backend): p for p in points if p.level == p.axis.nominal}
+    return [d for p in points for d in differences(nominal[p.axis.name, p.backend], p)]
+
+
+def as_dict(lines: Sequence[Sequence[Point]]) -> dict[str, Any]:
+    """Return a sweep as plain data; each line holds the points of one axis in one engine."""
+    points = [point for line in lines for point in line]
+    return {
+        "points": [point.as_dict() for point in points],
+        "halvings": [halving.as_dict() for line in lines for halving in halvings(line)],
+        "between_engines": [difference.as_dict() for difference in between_engines(points)],
+        "between_plants": [difference.as_dict() for difference in between_plants(points)],
+    }
+
+
+def format_sweep(points: Sequence[Point]) -> str:
+    """Return a sweep as a Markdown table, with a row for each axis and direction.
+
+    The gaps are at the outermost level that every engine has measured. The gap from parameters is
+    what an engine loses against its own nominal plant. The gap from the engine is how far two
+    engines are apart on that plant, with the numbers of episodes that succeed in one only.
+    """
+    backends = list(dict.fromkeys(point.backend for point in points))
+    pairs = list(combinations(backends, 2))
+    halves = [f"{backend}: halves at" for backend in backends]
+    head = ["axis", "unit", "to", *halves, "compared at", "gap from parameters"]
+    head += [f"gap from engine: {a} - {b} (only / only)" for a, b in pairs]
+    rows = []
+    for axis in dict.fromkeys(point.axis for point in points):
+        on_axis = [point for point in points if point.axis is axis]
+        lines = [halvings([p for p in on_axis if p.backend == b]) for b in backends]
+        for each in zip(*lines, strict=True):
+            up = each[0].up
+            texts = (halving.text for halving in each)
+            gaps = _gaps(on_axis, backends, up) or ["-"] * (2 + len(pairs))
+            rows.append([axis.name, axis.unit, "up" if up else "down", *texts, *gaps])
+    return markdown(head, rows)
+
+
+def _gaps(points: Sequence[Point], backends: Sequence[str], up: bool) -> list[str]:
+    """Return the cells of one row from "compared at" on; none if the engines share no level."""
+    axis = points[0].axis
+    by = {(p.backend, p.level): p.result for p in points if p.result is not None}
+    levels = directions(axis, [point.level for point in points])[0 if up else 1]
+    shared = [level for level in levels if all((b, level) in by for b in backends)]
+    if not shared:
+        return []
+    there = {b: by[b, shared[-1]] for b in backends}
+    losses = [by[b, axis.nominal].rate - there[b].rate for b in backends]
+    cells = [f"{shared[-1]:g}", " / ".join(f"{loss:+.2f}" for loss in losses)]
+    for a, b in combinations(backends, 2):
+        x, y = there[a].success, there[b].success
+        only, other = disagreement(x, y)
+        cells.append(f"{x.mean() - y.mean():+.2f} ({only} / {other})")
+    return cells
