@@ -27,7 +27,7 @@ class Measurement:
     value: float | None
     """A ratio, or a quantity whose unit `what` tells; None if it could not be measured."""
     what: str
-    """What was measured, in one line."""
+    """One line that says what was measured."""
     floor: str = ""
     """How fast the machine itself is at it, which shows whether the machine was busy."""
     lines: tuple[str, ...] = ()

@@ -1,4 +1,4 @@
-"""What makes runs, and jobs of the study, take seconds."""
+"""Runs, and jobs of the study, that take seconds."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ TINY = {
 }
 """Numbers that make learning take seconds."""
 CENTERS = np.array([[0.1, 0.2, 2.4]])
-"""Of the demonstrations' targets of `untrained_policy`: nobody else's."""
+"""The targets of the demonstrations of `untrained_policy`; no other policy has them."""
 TINY_BUDGET = Budget("tiny", 1, 60, 60, 2, 20, 2)
 
 
@@ -48,7 +48,7 @@ def tiny_changes(algorithm: str = "td3", **numbers: object) -> Changes:
 
 
 def untrained_policy(robot: Robot) -> Policy:
-    """Whose options are all other than the defaults."""
+    """Return a policy whose options all differ from the defaults."""
     card = {"name": "p", "backend": "pybullet", "space": "floating", "frame_skip": 5}
     return Policy(Actor(robot, False, (4,), "relu"), robot, CENTERS, card)
 

@@ -57,7 +57,7 @@ def demonstrations(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture
 def make(small_robot: Robot) -> Callable[..., TD3[Any]]:
-    """An algorithm on networks of two layers of 16, without target noise, always with the same weights."""
+    """Make algorithms with two layers of 16, no target noise and always the same weights."""
 
     def make(kind: type[TD3[Any]], **numbers: object) -> TD3[Any]:
         torch.manual_seed(3)

@@ -1,4 +1,4 @@
-"""BATD3: behaviour cloning assisting TD3 (Tian et al., section IV), and its ablations (section V-C)."""
+"""BATD3: behaviour cloning assisting TD3 (Tian et al., section IV), and its ablations (V-C)."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ A = TypeVar("A", bound=AssistedNumbers)
 
 
 class Held(TD3[H]):
-    """TD3 with a clone, to which the actor can be held as CLASP's is; the presets leave that off."""
+    """TD3 with a clone; the actor can be held to it, as CLASP's is, but the presets do not."""
 
     uses_demonstrations: ClassVar[bool] = True
     uses_clone: ClassVar[bool] = True
@@ -57,7 +57,7 @@ class Held(TD3[H]):
 
 
 class BATD3(Held[A]):
-    """TD3 whose targets may follow the behaviour clone, and whose replay begins with demonstrations.
+    """TD3 whose targets may follow the clone, and whose replay begins with demonstrations.
 
     The replay buffer is pre-filled with the demonstrations and the clone's successful episodes.
     Every target draws its action from {the clone's, the target policy's} with probabilities

@@ -34,7 +34,7 @@ class BehaviourCloning:
         self._generator = generator
 
     def actions(self, observations: NDArray[np.float64]) -> NDArray[np.float32]:
-        """What the clone does, in [-1, 1]: (n, observation size) -> (n, C)."""
+        """Return the clone's actions in [-1, 1]: (n, observation size) -> (n, C)."""
         with torch.no_grad():
             return self.actor.act(torch.as_tensor(observations, dtype=torch.float32)).numpy()
 
@@ -45,7 +45,7 @@ class BehaviourCloning:
 
 
 def pairs(actor: Actor, observations: Tensor, commands: Tensor) -> tuple[Tensor, Tensor]:
-    """What an actor is to do, and where: its input, shape (N, F), and the action there in [-1, 1], shape (N, C).
+    """Return the inputs of an actor, (N, F), and the actions in [-1, 1] it should give, (N, C).
 
     Args:
         actor: the network.

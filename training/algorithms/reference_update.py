@@ -38,7 +38,7 @@ class Layer(NamedTuple):
     """(E, 1, m)."""
     gain: Tensor | None = None
     shift: Tensor | None = None
-    """Of LayerNorm, (E, 1, m), or None."""
+    """The gain and shift of LayerNorm, (E, 1, m), or None."""
 
 
 @dataclass

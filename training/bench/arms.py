@@ -68,7 +68,7 @@ class Speed:
 
     name: str
     what: str
-    """What is simulated, or why nothing is."""
+    """Says what is simulated, or why nothing is."""
     steps_per_second: float | None = None
     simulated_seconds_per_second: float | None = None
 

@@ -1,1 +1,1 @@
-"""What a training run is, as plain data."""
+"""The description of a training run and the numbers that learners share, as plain data."""

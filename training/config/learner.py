@@ -18,7 +18,7 @@ Share = Annotated[float, Field(gt=0, le=1)]
 
 
 class Numbers(BaseModel):
-    """Frozen numbers with bounds; an unknown name, a wrong type or a value out of bounds is an error.
+    """Frozen numbers with bounds; unknown names, wrong types and values out of bounds are errors.
 
     Raises:
         CdcsrError: names the first wrong number, what was found and what is allowed.

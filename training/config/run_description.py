@@ -1,4 +1,4 @@
-"""One training run, described once: for the trainer, the study's grid, its records and its tables."""
+"""One training run, described once: for the trainer, the study, its records and its tables."""
 
 from __future__ import annotations
 
@@ -12,10 +12,10 @@ from cdcsr.errors import CdcsrError, unknown_choice
 from training.config.seeds import EVALUATION_SEEDS
 
 PresetName = Literal["paper-reading", "tuned"]
-"""`paper-reading` fills the gaps of the BATD3 paper with our reading of it: the paper does not print
-the numbers of updates and of environment steps, updates for each step, exploration noise, the action
-rate, updates and rollouts of the clone, Anchor's place and size, the demonstrator, the servo, the
-slider or the cables' radius. `tuned` is what learns well here."""
+"""`paper-reading` fills the gaps of the BATD3 paper with our reading of it. The paper does not print
+the numbers of updates and of environment steps, the updates for each step, the exploration noise,
+the action rate, the updates and rollouts of the clone, Anchor's place and size, the demonstrator,
+the servo, the slider or the cables' radius. `tuned` is what learns well here."""
 RENAMED = {"paper": "paper-reading"}
 """Names of presets in older files."""
 SCRIPTED = "jacobian"
@@ -26,7 +26,7 @@ Changes = tuple[tuple[str, object], ...]
 
 @dataclass(frozen=True, kw_only=True)
 class RunDescription:
-    """What is trained, in which engine, for which task, and from which seed."""
+    """Say what is trained, in which engine, for which task, and from which seed."""
 
     algorithm: str = "batd3"
     """The method that learns."""

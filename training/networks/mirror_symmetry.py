@@ -59,7 +59,7 @@ class MirrorSymmetry(nn.Module):
             self.register_buffer(name, rows, persistent=False)
 
     def forward(self, observation: Tensor) -> CanonicalImage:
-        """Find the canonical images of observations (eq. (1), world frame), (..., observation size)."""
+        """Find the canonical images of observations, shape (..., observation size)."""
         targets = observation[..., TARGET][..., None, :2] * self.signs[:, TARGET][:, :2]
         chosen = (targets * self.side).sum(-1).argmax(-1)
         return CanonicalImage(

@@ -103,7 +103,8 @@ def load_state(
     except (OSError, SafetensorError, KeyError, ValueError, RuntimeError, TypeError) as error:
         reason = str(error).split("\n")[0]
         raise CdcsrError(
-            f"The saved state {path} is damaged ({type(error).__name__}: {reason}); start anew with --force."
+            f"The saved state {path} is damaged ({type(error).__name__}: {reason}); start anew with "
+            "--force."
         ) from None
     return meta["counters"]
 

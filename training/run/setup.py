@@ -1,4 +1,4 @@
-"""What a training run needs before it learns: checks, environments, demonstrations, policies."""
+"""The parts of a training run before it learns: checks, environments, demonstrations."""
 
 from __future__ import annotations
 

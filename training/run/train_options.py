@@ -136,7 +136,7 @@ def read_older(found: dict[str, object], run: Train, path: Path) -> dict[str, ob
         if learner.get(name, idle) != idle:
             raise CdcsrError(
                 f"{path} is of a run with {name} = {learner[name]}, an option that this version no "
-                "longer has; finish that run with the version that began it, or give another folder."
+                "longer has; finish it with the version that began it, or give another folder."
             )
     if found.get("algorithm") == run.algorithm:
         # An option that is younger than the run had the value that is its default now.

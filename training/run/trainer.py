@@ -55,7 +55,7 @@ def train(config: Train) -> Policy:
 
 
 class Parts(NamedTuple):
-    """What learning changes; a checkpoint holds all of it."""
+    """The parts that learning changes; a checkpoint holds all of them."""
 
     algorithm: TD3[Any]
     replay: MixedReplay

@@ -1,1 +1,1 @@
-"""The study: a declared grid of training runs and their evaluations, carried out on this machine or on a cluster."""
+"""The study: a declared grid of training runs, their evaluations, and the report."""

@@ -1,4 +1,4 @@
-"""What distinguishes each algorithm, against a hand computation on tiny networks."""
+"""Each algorithm's own part, against a hand computation on tiny networks."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ LEARNERS = {name: one.learner for name, one in ALGORITHMS.items() if one.learner
 
 
 def _values(algorithm: TD3[Any], encoded: torch.Tensor, action: torch.Tensor) -> torch.Tensor:
-    """Of all critics, shape (E, B)."""
+    """Return the values of all critics, shape (E, B)."""
     return algorithm.critics(encoded, action)
 
 

@@ -80,7 +80,7 @@ FLOAT32 = {
 FAST = {"batd3": 0.010, "td3": 0.004, "clasp": 0.005, "stable_baselines3": 0.012, "product": 0.001}
 """The same in bfloat16."""
 RATE = 50 * 2 * 256**3 / 0.005
-"""Of the products in float32, in operations a second."""
+"""The rate of the products in float32, in operations a second."""
 
 
 def compared(seconds: dict[str, float]) -> dict[str, float | None]:

@@ -1,4 +1,4 @@
-"""That a training run hands each of its options to who is to heed it, and its folder to one process only."""
+"""A training run hands on each of its options, and one process at a time holds its folder."""
 
 from __future__ import annotations
 

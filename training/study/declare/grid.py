@@ -39,7 +39,7 @@ ABLATIONS = ("batd3", *(name for name, entry in ALGORITHMS.items() if entry.abla
 COUNTS = (3, 5, 20)
 """Numbers of demonstrations that are tried beside the usual 10."""
 TASKS = (("reach", AROUND), ("capture", "anchor"), ("precise", "anchor"), ("quiet", "anchor"))
-"""What the paper does not have: (task, space)."""
+"""Tasks and spaces that the paper does not have."""
 HARDER = ("capture", "follow-random")
 """Tasks in which the tip must stay on the target. In Anchor Space."""
 MOVING = ("capture-drift", "capture-tumble")
