@@ -4,8 +4,7 @@ the viewer needs."""
 from __future__ import annotations
 
 import unittest
-from collections.abc import Generator, Iterator
-from typing import Any
+from collections.abc import Iterator
 
 import numpy as np
 import pytest
@@ -27,7 +26,7 @@ class Conformance(test_utils.EnvironmentTestMixin):
     def make_object_under_test(self, **_: object) -> control.Environment:
         return make_dm_environment(backend=self.backend, max_steps=10)
 
-    def make_action_sequence(self) -> Generator[Any, Any, None]:
+    def make_action_sequence(self) -> Iterator[Array]:
         """Act over the end of one episode and into the next."""
         for _ in range(14):
             yield self.make_action()
@@ -157,7 +156,7 @@ def test_mistakes_are_errors() -> None:
         make_dm_environment("captur")
 
 
-# --- what dm_control's viewer and wrappers ask of the physics -------------------------------------
+# --- what the viewer and the wrappers of dm_control ask of the physics ----------------------------
 
 
 @pytest.fixture

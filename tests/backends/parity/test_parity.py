@@ -1,4 +1,5 @@
-"""Parity: what it measures, that it holds for the shipped robots, and that a wrong number is caught by name."""
+"""The shipped robots pass all checks of parity, and a wrong number in one engine is found by
+name."""
 
 from __future__ import annotations
 
@@ -12,7 +13,7 @@ import numpy as np
 import pytest
 
 from backends.mujoco.simulation import MujocoSimulation
-from backends.parity import report as study
+from backends.parity import report
 from backends.parity.checks import Check, Engines
 from backends.parity.one_state import one_state, random_states
 from backends.parity.one_step import one_step
@@ -27,23 +28,25 @@ from cdcsr.robot.routing import cable_lengths, routing
 from training.commands.parity import parity as command
 from training.measure.trajectories import demonstrator_commands
 
+Change = Callable[[dict[str, Any]], None]
+"""Changes the plain data of a description in place."""
 ENGINES: Engines = {"mujoco": MujocoSimulation, "pybullet": PybulletSimulation}
 
 
 def both(robot: Robot, episodes: int, seed: int) -> list[Commands]:
-    """Commands of the demonstrator, and random ones."""
+    """Return commands of the demonstrator, and random ones."""
     demonstrated = demonstrator_commands(robot, "mujoco", episodes, seed)
     return [demonstrated, random_commands(robot, episodes, seed)]
 
 
 @pytest.fixture(scope="module")
 def result(paper: Robot) -> Parity:
-    """All levels for the paper's robot, with one episode of either kind."""
+    """Measure all levels on the paper's robot, with one episode of each kind of commands."""
     return measure(paper, ENGINES, both(paper, 1, 0), seed=0)
 
 
-def with_wrong_mujoco(change: Callable[[dict[str, Any]], None]) -> Engines:
-    """PyBullet, and a MuJoCo whose model was built from another description than the one it claims to run."""
+def with_wrong_mujoco(change: Change) -> Engines:
+    """Return PyBullet, and a MuJoCo whose model is of another robot than it reports."""
 
     def make(robot: Robot, num: int) -> MujocoSimulation:
         data = robot.model_dump()
@@ -55,8 +58,8 @@ def with_wrong_mujoco(change: Callable[[dict[str, Any]], None]) -> Engines:
     return {"pybullet": PybulletSimulation, "mujoco": make}
 
 
-def scaled(section: str, key: str, factor: float) -> Callable[[dict[str, Any]], None]:
-    """Multiplies a number of the first segment."""
+def scaled(section: str, key: str, factor: float) -> Change:
+    """Return a change that multiplies a number of the first segment."""
 
     def change(data: dict[str, Any]) -> None:
         data["segments"][0][section][key] *= factor
@@ -64,7 +67,7 @@ def scaled(section: str, key: str, factor: float) -> Callable[[dict[str, Any]], 
     return change
 
 
-# --- level 1 -----------------------------------------------------------------------------------------------------
+# --- level 1 --------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("name", shipped_robots())
@@ -112,7 +115,7 @@ def test_a_wrong_number_in_one_engine_is_caught_by_name(
 
 
 def test_the_place_of_a_wrong_number_is_named(paper: Robot) -> None:
-    """Guides of the first segment's cables are 2 micrometres off."""
+    """The guides of the first segment's cables are moved by 2 micrometres."""
     checks = one_state(paper, with_wrong_mujoco(scaled("cables", "guide_offset", 1 + 1e-4)), num=4)
     where = {
         check.name: check.where
@@ -122,11 +125,12 @@ def test_the_place_of_a_wrong_number_is_named(paper: Robot) -> None:
     assert where["cable length"] in {f"cable_{c}" for c in range(4)}
 
 
-# --- level 2 -----------------------------------------------------------------------------------------------------
+# --- level 2 --------------------------------------------------------------------------------------
 
 
 def test_a_servo_that_pulls_harder_is_caught_in_one_step(paper: Robot) -> None:
-    """No force of the servo is in the equation of motion, so this shows first where a command acts."""
+    """The equation of motion holds no servo force, so the first level to show it is the one with
+    commands."""
     engines = with_wrong_mujoco(scaled("servo", "gain", 1.05))
     assert all(check.passed for check in one_state(paper, engines, num=4))
     (found,) = one_step(paper, engines, random_commands(paper, 2, seed=0, steps=20))
@@ -141,7 +145,7 @@ def test_an_engine_differs_from_itself_by_nothing(paper: Robot) -> None:
         np.testing.assert_array_equal(difference, np.zeros(20))
 
 
-def test_states_after_an_episodes_end_are_left_out(paper: Robot) -> None:
+def test_states_after_the_end_of_an_episode_are_left_out(paper: Robot) -> None:
     commands = Commands(
         "short", random_commands(paper, 2, seed=0, steps=10).values, np.array([3, 10])
     )
@@ -149,11 +153,12 @@ def test_states_after_an_episodes_end_are_left_out(paper: Robot) -> None:
     assert {len(difference) for difference in found.differences.values()} == {3 + 10}
 
 
-# --- level 3 -----------------------------------------------------------------------------------------------------
+# --- level 3 --------------------------------------------------------------------------------------
 
 
 def test_order_and_errors_of_a_motion_made_by_hand() -> None:
-    """Two instants, one episode; errors of 3 mm/ms x h to one side, and 1 mm/ms^2 x h^2 to the other."""
+    """At two instants of one episode the errors are 3 mm/ms x h, and 1 mm/ms² x h² in the other
+    direction."""
     steps = np.array([4e-3, 2e-3, 1e-3])
     limit = np.zeros((2, 1, 3))
     tips = {"first": np.zeros((3, 2, 1, 3)), "second": np.zeros((3, 2, 1, 3))}
@@ -166,7 +171,8 @@ def test_order_and_errors_of_a_motion_made_by_hand() -> None:
         loop.mean_distance("second"), [12e-3 + 16e-3, 6e-3 + 4e-3, 3e-3 + 1e-3]
     )
     failed = [(check.name, check.value) for check in loop.checks() if not check.passed]
-    # 28 mm apart at the first step; 4 mm apart at the last, where the first engine's own error is 3 mm.
+    # They are 28 mm apart at the first step and 4 mm at the last, where the first engine's error is
+    # 3 mm.
     assert failed == [
         ("mean tip distance", pytest.approx(28e-3)),
         ("tip distance over own error at the finest step", pytest.approx(4 / 3)),
@@ -183,7 +189,8 @@ def test_a_refined_robot_keeps_the_recovery_time_in_steps(paper: Robot) -> None:
 
 
 def test_an_engine_of_another_robot_converges_elsewhere(paper: Robot) -> None:
-    """With a tenth less damping in the first segment, which no time step takes away."""
+    """The damping of the first segment is a tenth less, which a smaller time step does not
+    change."""
     engines = with_wrong_mujoco(scaled("joint", "damping", 0.9))
     loop = open_loop(paper, engines, random_commands(paper, 1, seed=0, steps=60))
     failed = [check.name for check in loop.checks() if not check.passed]
@@ -191,7 +198,7 @@ def test_an_engine_of_another_robot_converges_elsewhere(paper: Robot) -> None:
     assert "tip distance over own error at the finest step" in failed
 
 
-# --- the whole ---------------------------------------------------------------------------------------------------
+# --- the whole ------------------------------------------------------------------------------------
 
 
 def test_the_papers_robot_is_within_every_tolerance(result: Parity) -> None:
@@ -227,7 +234,7 @@ def test_the_command_names_the_first_failure_and_exits_with_1(
         1, "mass matrix", "pybullet - mujoco", float("nan"), 1e-10, "relative", "hinge_3_x"
     )
     monkeypatch.setattr(
-        study, "measure", lambda *_, **__: dataclasses.replace(result, one_state=[broken])
+        report, "measure", lambda *_, **__: dataclasses.replace(result, one_state=[broken])
     )
     out = tmp_path / "parity.json"
     assert run(command, "cdcsr parity", ["paper", "--json", str(out)]) == 1
@@ -260,7 +267,7 @@ def test_wrong_options_exit_with_2(
 @pytest.mark.parametrize("engine", ENGINES)
 @pytest.mark.parametrize("name", shipped_robots())
 def test_cables_hardly_stretch_along_demonstrations(name: str, engine: str) -> None:
-    """At most 0.05 mm beyond the rest length, on the way to targets."""
+    """On the way to targets they get at most 0.05 mm longer than at rest."""
     robot = load_robot(name)
     route, commands = routing(robot), demonstrator_commands(robot, engine, episodes=2, seed=1)
     simulation, longest = ENGINES[engine](robot, 2), 0.0
