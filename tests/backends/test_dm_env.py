@@ -4,7 +4,8 @@ the viewer needs."""
 from __future__ import annotations
 
 import unittest
-from collections.abc import Iterator
+from collections.abc import Generator, Iterator
+from typing import Any
 
 import numpy as np
 import pytest
@@ -26,7 +27,7 @@ class Conformance(test_utils.EnvironmentTestMixin):
     def make_object_under_test(self, **_: object) -> control.Environment:
         return make_dm_environment(backend=self.backend, max_steps=10)
 
-    def make_action_sequence(self) -> Iterator[Array]:
+    def make_action_sequence(self) -> Generator[Any, Any, None]:  # the type of the base class
         """Act over the end of one episode and into the next."""
         for _ in range(14):
             yield self.make_action()
