@@ -112,7 +112,7 @@ def test_what_is_no_dataset_is_refused(tmp_path: Path, folder: Path) -> None:
 
 
 def test_a_capture_is_demonstrated_and_read_back(tmp_path: Path) -> None:
-    """Its last 20 actions, of two steps each, left the tip on the target; the reward is for the last alone."""
+    """The last 20 actions, of two steps each, left the tip on the target; the last is rewarded."""
     demonstrate(out=tmp_path / "set", episodes=2, task="capture-drift", frame_skip=2)
     episodes = load(
         tmp_path / "set", load_robot("paper").fingerprint, frame_skip=2, task="capture-drift"

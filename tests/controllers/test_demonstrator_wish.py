@@ -1,4 +1,4 @@
-"""What the demonstrator wishes for: its prediction of the hinges, its cost, and for whom it acts."""
+"""The scripted demonstrator: its prediction of the hinges, its cost, and its copies."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ Array = NDArray[np.float64]
 
 @pytest.mark.parametrize("backend", backend_names())
 def test_predicts_the_hinges_rates_of_the_next_step(backend: str) -> None:
-    """With tensions as measured in a step, the prediction from before it meets the rates after it."""
+    """With the tensions of a step, the prediction before it gives the rates after it."""
     env = TaskVectorEnv(1, "paper", backend, "anchor", task="capture", autoreset_mode="Disabled")
     controller = JacobianController(env.robot)
     stepper, errors, rates = Stepper(controller, env, seed=1), [], []
@@ -96,7 +96,7 @@ def test_each_copy_is_given_its_own_command_whoever_else_acts() -> None:
 
 @pytest.mark.parametrize("period", [0.0025, 0.05])
 def test_the_prediction_is_an_implicit_step_of_springs_and_dampers(period: float) -> None:
-    """M (v+ - v) = h (forces at the hinges' next angles and rates - L^T t), solved for v+ here."""
+    """Solve M (v+ - v) = h (forces at the hinges' next angles and rates - L^T t) for v+."""
     env = TaskVectorEnv(1, "paper", "mujoco", "anchor", task="capture", autoreset_mode="Disabled")
     controller = JacobianController(env.robot)
     Stepper(controller, env, seed=1).step(40)
@@ -111,7 +111,7 @@ def test_the_prediction_is_an_implicit_step_of_springs_and_dampers(period: float
         d.velocity[0, keep],
         np.linspace(0, 40, cables),
     )
-    # What springs and dampers do at the next angles, which are h v+ away, and rates, is linear in v+.
+    # The forces of springs and dampers at the next angles and rates are linear in v+.
     rest = (
         d.passive_force[0, keep]
         + damping * rate

@@ -36,7 +36,7 @@ def test_planar_robot_stays_in_its_plane() -> None:
 
 @pytest.mark.parametrize("backend", backend_names())
 def test_predicts_the_tip_velocity_of_the_next_step(backend: str) -> None:
-    """With tensions as measured in a step, the prediction from before it meets the velocity after it."""
+    """With the tensions of a step, the prediction before it gives the velocity after it."""
     env = TaskVectorEnv(1, "paper", backend, "anchor", autoreset_mode="Disabled")
     controller = JacobianController(env.robot)
     stepper = Stepper(controller, env, seed=1)

@@ -1,4 +1,4 @@
-"""One episode of each copy: what counts is up to its end, whatever the copy does after that."""
+"""One episode of each copy: only what happens until its end counts."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ class Idle(Controller):
 
 
 class Scripted:
-    """In place of an environment: what each copy's steps bring is written down. Targets move by one a step."""
+    """An environment whose results are given. Targets move by one a step."""
 
     def __init__(
         self,
@@ -82,8 +82,12 @@ def idle() -> Idle:
 
 @pytest.fixture
 def result(idle: Idle) -> Rollout:
-    """Five steps. The first copy succeeds at the second; the next runs out of time at the third, and would have
-    succeeded at the fourth; the third is on its target for a moment and not in the end; the last goes on throughout."""
+    """Five steps of four copies.
+
+    The first copy succeeds at the second step. The second runs out of time at the third, and would
+    have succeeded at the fourth. The third is on its target for a moment, but not in the end. The
+    last succeeds at the fifth step.
+    """
     env = Scripted(
         [
             [0.5, 0.02, 0.01, 0.3, 0.4],
@@ -184,7 +188,7 @@ def test_eq_1_is_built_again_bit_for_bit_from_what_arrived() -> None:
 
 
 def test_each_batch_of_a_recording_has_targets_of_its_own() -> None:
-    """Of one stream, drawn here once more."""
+    """All come from one stream, which is drawn again here."""
     env = TaskVectorEnv(2, frame_skip=5, autoreset_mode="Disabled")
     episodes, failed = record(JacobianController(env.robot), env, num=5, seed=3)
     env.close()

@@ -1,4 +1,4 @@
-"""The search for what could be done: offsets, and what is kept of them."""
+"""The search for better commands: offsets, and which of them are kept."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ Array = NDArray[np.float64]
 
 
 class Slack(Controller):
-    """Lets every cable hang, but for one of each segment, on one side, that pulls."""
+    """Pulls one cable of each segment, on one side, and no other cable."""
 
     name = "slack"
 
@@ -74,7 +74,7 @@ def test_outcomes_sort_by_how_often_then_how_soon_then_how_near() -> None:
 
 
 def test_a_target_that_is_known_to_be_reachable_is_come_near_to() -> None:
-    """The target is where a pull on one side brings the tip, which a controller that does nothing never does."""
+    """A pull on one side brings the tip to the target; a controller that does nothing fails."""
     env = _envs(24, 60)
     probe = _envs(1, 60, threshold=1e-9)
     observation, _ = probe.reset(seed=0)
@@ -138,7 +138,7 @@ def test_nearest_is_of_the_plant_and_not_what_a_lossy_link_shows() -> None:
 
 
 class Landscape:
-    """In place of episodes: how long one takes is a function of its plan, and of chance."""
+    """Replaces episodes: the length of one is a function of its plan and of chance."""
 
     def __init__(
         self, length: Callable[[Array, np.random.Generator], float], chance: float = 1.0

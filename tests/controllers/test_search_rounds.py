@@ -1,4 +1,4 @@
-"""The rounds of the search, against sums done here on the plans that it tries."""
+"""The rounds of the search, compared with sums over the plans that it tries."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ TARGET = np.array([0.2, 0.1, 2.5])
 
 
 class Known:
-    """In place of episodes: what comes of a plan is a function of it: the length, or None if it fails, and how near."""
+    """Replaces episodes: a function of the plan gives length (None if it fails) and distance."""
 
     def __init__(self, outcome: Callable[[Array], tuple[float | None, float]]) -> None:
         self.outcome, self.plans, self.observations = outcome, list[Array](), list[Array]()
@@ -40,7 +40,7 @@ class Known:
         )
 
     def best(self) -> tuple[float, float, float]:
-        """Of all plans tried: whether one succeeds, the least length of those that do, the least distance of all."""
+        """Return whether any plan succeeded, the least length of a success, the least distance."""
         found = [self.outcome(plan) for tried in self.plans for plan in tried]
         lengths = [round(length) for length, _ in found if length is not None]
         return float(bool(lengths)), min(lengths, default=250), min(near for _, near in found)
@@ -49,7 +49,7 @@ class Known:
 def improved(
     monkeypatch: pytest.MonkeyPatch, known: Known, rounds: int, noise: float = 0.0
 ) -> tuple[Outcome, Outcome, Array]:
-    """Outcomes, and eta."""
+    """Return the two outcomes, and eta."""
     monkeypatch.setattr(search, "rollout", known)
     env = TaskVectorEnv(
         NUM,

@@ -1,4 +1,4 @@
-"""Policies as files: what is saved acts alike, and damaged or foreign files are refused in one line."""
+"""Policies as files: a saved policy acts alike; damaged files are refused in one line."""
 
 from __future__ import annotations
 

@@ -102,9 +102,8 @@ def _show_differences(nominal: list[Point]) -> None:
     from training.measure.sweep_table import between_engines
 
     for difference in between_engines(nominal):
-        found = difference.as_dict()
-        target = ", ".join(f"{x:.3f}" for x in found["target"])
+        target = ", ".join(f"{x:.3f}" for x in difference.target)
         print(
-            f"nominal, episode {found['episode']}, target ({target}): succeeds only in "
-            f"{found['succeeds']['backend']}; {found['reading']}"
+            f"nominal, episode {difference.episode}, target ({target}): succeeds only in "
+            f"{difference.better.backend}; {difference.reading}"
         )

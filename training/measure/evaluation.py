@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import TypedDict
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,6 +21,18 @@ from training.measure.statistics import wilson
 from training.policy import Policy
 
 Array = NDArray[np.float64]
+
+
+class Summary(TypedDict):
+    """The numbers of a batch of episodes that are reported."""
+
+    episodes: int
+    success_rate: float
+    success_low: float
+    success_high: float
+    length_mean: float
+    length_std: float
+    failed: list[int]
 
 
 @dataclass(frozen=True)
@@ -41,9 +53,14 @@ class Result:
         """The share of episodes that succeed (the paper's kappa)."""
         return float(self.success.mean())
 
-    def summary(self) -> dict[str, Any]:
+    @property
+    def interval(self) -> tuple[float, float]:
+        """The 95 % interval of the success rate (Wilson)."""
+        return wilson(int(self.success.sum()), len(self.success))
+
+    def summary(self) -> Summary:
         """Return the numbers that are reported."""
-        low, high = wilson(int(self.success.sum()), len(self.success))
+        low, high = self.interval
         return {
             "episodes": len(self.success),
             "success_rate": self.rate,
@@ -63,7 +80,7 @@ def evaluate(
     episodes: int = 100,
     seed: int = TEST_SEED,
     centers: Array | None = None,
-    frame_skip: int = 1,
+    frame_skip: int | None = None,
     disturbances: Disturbances | None = None,
     plant: ActualPlant | None = None,
     task: str = "reach",
@@ -77,8 +94,9 @@ def evaluate(
         space: the operation space.
         episodes: how many episodes, run as one batch.
         seed: seeds targets and disturbances; the same seed gives every controller the same ones.
-        centers: the targets of the demonstrations, shape (n, 3), for Floating and Spatter.
-        frame_skip: how many simulation steps each action is held for.
+        centers: the targets of the demonstrations, shape (n, 3), for Floating and Spatter; by
+            default the controller's.
+        frame_skip: how many simulation steps each action is held for; by default the controller's.
         disturbances: the disturbances between controller and robot.
         plant: the plant that is simulated; by default the robot. On a plant given here a policy
             also acts if the plant's numbers differ from its own robot's.
@@ -89,6 +107,8 @@ def evaluate(
     """
     if episodes < 1:
         raise CdcsrError(f"episodes must be at least 1, not {episodes}.")
+    centers = controller.centers if centers is None else centers
+    frame_skip = controller.frame_skip if frame_skip is None else frame_skip
     max_steps = make_task(task).max_steps
     plant, disturbances = plant or ActualPlant(robot), disturbances or Disturbances()
     if isinstance(controller, Policy) and plant.robot is not robot:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 from cdcsr.errors import CdcsrError, Diverged
 from cdcsr.robot.description import Robot
@@ -62,7 +62,7 @@ class Point:
             for i, (success, length, distance) in enumerate(outcome)
         ]
 
-    def as_dict(self) -> dict[str, Any]:
+    def as_dict(self) -> dict[str, object]:
         """Return plain data."""
         data = {
             "backend": self.backend,
@@ -168,8 +168,6 @@ def _measure(
             space,
             episodes,
             seed,
-            centers=controller.centers,
-            frame_skip=controller.frame_skip,
             plant=axis.plant(robot, level),
             task=task,
         )
@@ -200,7 +198,7 @@ class Halving:
             return f"{beyond}{self.last.level:g} ({self.last.result.rate:.2f})"
         return f"{self.level:.3g}"
 
-    def as_dict(self) -> dict[str, Any]:
+    def as_dict(self) -> dict[str, object]:
         """Return plain data."""
         return {
             "backend": self.backend,

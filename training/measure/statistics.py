@@ -4,13 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Any, Literal
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
-Statistic = Callable[[NDArray[Any]], Array]
+Statistic = Callable[[NDArray[np.generic]], Array]
 """Maps scores of shape (..., runs, tasks) to one number each, shape (...)."""
 
 REPETITIONS = 50_000
@@ -45,12 +45,12 @@ def wilson(successes: int, total: int) -> tuple[float, float]:
     return float(interval.low), float(interval.high)
 
 
-def mean(scores: NDArray[Any]) -> Array:
+def mean(scores: NDArray[np.generic]) -> Array:
     """Return the mean over runs and tasks."""
     return np.asarray(scores, dtype=float).mean(axis=(-2, -1))
 
 
-def iqm(scores: NDArray[Any]) -> Array:
+def iqm(scores: NDArray[np.generic]) -> Array:
     """Return the interquartile mean over runs and tasks together.
 
     Of n sorted scores, n // 4 are cut at either end. One odd seed changes it less than the mean,
@@ -64,7 +64,7 @@ def iqm(scores: NDArray[Any]) -> Array:
 
 
 def bootstrap(
-    scores: NDArray[Any], statistic: Statistic, repetitions: int = REPETITIONS, seed: int = 0
+    scores: NDArray[np.generic], statistic: Statistic, repetitions: int = REPETITIONS, seed: int = 0
 ) -> tuple[float, float]:
     """Return the 95 % percentile interval of a statistic, by stratified bootstrap.
 
@@ -82,7 +82,7 @@ def bootstrap(
     return float(low), float(high)
 
 
-def over_seeds(scores: NDArray[Any], statistic: Statistic = mean) -> Estimate:
+def over_seeds(scores: NDArray[np.generic], statistic: Statistic = mean) -> Estimate:
     """Return a statistic with its bootstrap interval; scores have shape (runs, tasks)."""
     return Estimate(float(statistic(scores)), *bootstrap(scores, statistic))
 

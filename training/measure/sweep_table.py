@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import combinations
-from typing import Any
 
 import numpy as np
 
@@ -26,27 +25,36 @@ class Difference:
     worse: Point
     """The point at which it fails."""
 
-    def as_dict(self) -> dict[str, Any]:
+    target: list[float]
+    """Where the target was at the start, in [m]."""
+    length: int
+    """The number of steps until the success."""
+    distance: float
+    """From tip to target at the end of the failure, in [m]."""
+
+    @property
+    def reading(self) -> str:
+        """A guess why the episode failed, from this distance and length."""
+        return _reading(make_task(self.worse.task), self.distance, self.length)
+
+    def as_dict(self) -> dict[str, object]:
         """Return plain data: which episode, and why it may have ended differently."""
-        good, bad, i = self.better.result, self.worse.result, self.episode
-        assert good is not None
-        assert bad is not None
-        distance, length = float(bad.distance[i]), int(good.length[i])
+        better, worse = self.better, self.worse
         return {
-            "axis": self.worse.axis.name,
-            "episode": i,
-            "target": good.targets[i].tolist(),
+            "axis": worse.axis.name,
+            "episode": self.episode,
+            "target": self.target,
             "succeeds": {
-                "backend": self.better.backend,
-                "level": self.better.level,
-                "length": length,
+                "backend": better.backend,
+                "level": better.level,
+                "length": self.length,
             },
             "fails": {
-                "backend": self.worse.backend,
-                "level": self.worse.level,
-                "distance": distance,
+                "backend": worse.backend,
+                "level": worse.level,
+                "distance": self.distance,
             },
-            "reading": _reading(make_task(self.worse.task), distance, length),
+            "reading": self.reading,
         }
 
 
@@ -69,10 +77,15 @@ def differences(first: Point, second: Point) -> list[Difference]:
     """Return the episodes that succeed at one of two points only."""
     if first.result is None or second.result is None:
         return []
-    a, b = first.result.success, second.result.success
-    found = [Difference(int(i), first, second) for i in np.flatnonzero(a & ~b)]
-    found += [Difference(int(i), second, first) for i in np.flatnonzero(b & ~a)]
-    return sorted(found, key=lambda difference: difference.episode)
+    found = []
+    for i in np.flatnonzero(first.result.success != second.result.success):
+        points = (first, second) if first.result.success[i] else (second, first)
+        good, bad = (point.result for point in points)
+        assert good is not None
+        assert bad is not None
+        target, length = good.targets[i].tolist(), int(good.length[i])
+        found.append(Difference(int(i), *points, target, length, float(bad.distance[i])))
+    return found
 
 
 def between_engines(points: Sequence[Point]) -> list[Difference]:
@@ -91,7 +104,7 @@ def between_plants(points: Sequence[Point]) -> list[Difference]:
     return [d for p in points for d in differences(nominal[p.axis.name, p.backend], p)]
 
 
-def as_dict(lines: Sequence[Sequence[Point]]) -> dict[str, Any]:
+def as_dict(lines: Sequence[Sequence[Point]]) -> dict[str, object]:
     """Return a sweep as plain data; each line holds the points of one axis in one engine."""
     points = [point for line in lines for point in line]
     return {

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from itertools import combinations
-from typing import Any
 
 import numpy as np
 
@@ -31,7 +30,7 @@ class Cell:
     space: str
     result: Result
 
-    def as_dict(self) -> dict[str, Any]:
+    def as_dict(self) -> dict[str, object]:
         """Return the cell as plain data, each episode included."""
         return {
             "controller": self.controller,
@@ -90,8 +89,6 @@ def transfer(
                     space,
                     episodes,
                     seed,
-                    centers=controller.centers,
-                    frame_skip=controller.frame_skip,
                     disturbances=disturbances,
                     task=task,
                 )
@@ -119,7 +116,7 @@ class Disagreement:
         """The share of the episodes that end differently."""
         return (len(self.only_first) + len(self.only_second)) / self.episodes
 
-    def as_dict(self) -> dict[str, Any]:
+    def as_dict(self) -> dict[str, object]:
         """Return the comparison as plain data."""
         first, second = self.backends
         return {
@@ -183,10 +180,11 @@ def format_table(cells: Sequence[Cell]) -> str:
             space,
         ]
         for cell in group:
-            s = cell.result.summary()
+            result = cell.result
+            low, high = result.interval
             row += [
-                f"{s['success_rate']:.2f} [{s['success_low']:.2f}, {s['success_high']:.2f}]",
-                f"{s['length_mean']:.1f} ± {s['length_std']:.1f}",
+                f"{result.rate:.2f} [{low:.2f}, {high:.2f}]",
+                f"{result.length.mean():.1f} ± {result.length.std():.1f}",
             ]
         for names in compared:
             pair = pairs[controller, space, names]

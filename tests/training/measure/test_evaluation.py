@@ -19,7 +19,8 @@ from tests.support.controllers import Still
 from training.commands.evaluate import evaluate as evaluate_command
 from training.commands.transfer import transfer as transfer_command
 from training.config.seeds import TEST_SEED, VALIDATION_SEED
-from training.measure.evaluation import Result, evaluate, wilson
+from training.measure.evaluation import Result, evaluate
+from training.measure.statistics import wilson
 from training.measure.transfer_matrix import (
     Cell,
     disagreements,

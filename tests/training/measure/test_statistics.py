@@ -22,7 +22,7 @@ from training.measure.statistics import (
 )
 
 REFERENCE = json.loads((Path(__file__).parents[2] / "support" / "rliable.json").read_text("utf-8"))
-"""What rliable says of the same scores; made by rliable_reference.py."""
+"""The numbers of rliable for the same scores; made by rliable_reference.py."""
 
 
 def flags(*shares: tuple[int, int]) -> list[np.ndarray]:
@@ -53,7 +53,7 @@ def test_iqm_by_hand() -> None:
 
 
 def test_bootstrap_keeps_tasks_apart() -> None:
-    # Each task's runs agree: whatever is redrawn within a task, the mean stays. Across tasks it would not.
+    # The runs of a task agree, so resampling within tasks cannot change the mean.
     assert bootstrap(np.array([[0.0, 1.0]] * 4), mean) == (0.5, 0.5)
 
 
@@ -90,7 +90,8 @@ def sweep(levels: list[float], successes: list[int], total: int = 100) -> Sweep:
 
 
 def test_halving_of_a_known_line() -> None:
-    # 80 at 1; half is 40. Above: 60 at 2 and 20 at 4, so 40 at 3. Below: 80 at 0.5 and 0 at 0.1, so 40 at 0.3.
+    # 80 at 1; half is 40. Above: 60 at 2 and 20 at 4, so 40 at 3.
+    # Below: 80 at 0.5 and 0 at 0.1, so 40 at 0.3.
     line = sweep([0.1, 0.5, 1.0, 2.0, 4.0], [0, 80, 80, 60, 20])
     above, below = halving([line], 1.0, "above"), halving([line], 1.0, "below")
     assert above is not None
@@ -98,7 +99,7 @@ def test_halving_of_a_known_line() -> None:
     assert above.level == pytest.approx(3.0)
     assert below.level == pytest.approx(0.3)
     assert 2.3 < above.low < 3.0 < above.high < 3.7
-    # Below, all that succeeds at 1 still does at 0.5, and none at 0.1: whatever is redrawn, half is midway.
+    # Below, all episodes that succeed at 1 do so at 0.5, and none at 0.1: half is always midway.
     assert (below.low, below.high) == pytest.approx((0.3, 0.3))
 
 

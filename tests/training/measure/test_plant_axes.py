@@ -1,34 +1,22 @@
-"""Second plants: that each axis acts as its name says, that policies meet them only by intent, and the sweep's sums."""
+"""Each model error changes the plant as its name says; policies act on it only on request."""
 
 from __future__ import annotations
-
-import csv
-import json
-from math import sqrt
-from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
 from numpy.typing import NDArray
 
 from backends.pybullet.simulation import PybulletSimulation
-from cdcsr.errors import CdcsrError, Diverged
+from cdcsr.errors import CdcsrError
 from cdcsr.robot.description import Robot, load_robot
 from cdcsr.simulation.contract import Simulation, State
 from cdcsr.simulation.engines import backend_names, make_simulation
 from cdcsr.simulation.plant import Parameters
 from controllers.controller import Conditions, Controller, Target
-from training.commands.sweep import sweep as command
-from training.config.run_description import SCRIPTED, RunDescription
 from training.config.seeds import VALIDATION_SEED
-from training.measure import plant_sweep as sweeps
-from training.measure.evaluation import Result, evaluate
+from training.measure.evaluation import evaluate
 from training.measure.plant_axes import AXES, Axis, find_axes
-from training.measure.plant_sweep import Point, directions, halvings, sweep
-from training.measure.sweep_table import between_engines, differences, format_sweep
 from training.policy import Policy, find_policy
-from training.study.execute import evaluations
 
 both = pytest.mark.parametrize("backend", backend_names())
 
@@ -43,15 +31,15 @@ def policy() -> Policy:
     return find_policy("batd3-spatter-mujoco")
 
 
-# --- What the axes do ----------------------------------------------------------------------------------------------
-
-
 @both
 @pytest.mark.parametrize(
     ("name", "level"), [("servo_gain", 0.1), ("slider_damping", 10.0), ("servo_gain", 1.0)]
 )
 def test_one_step_of_a_free_slider(backend: str, name: str, level: float, paper: Robot) -> None:
-    """Let out, a cable is slack, and its slider alone: m v / h = k u - c v. The base is 2500 times as heavy."""
+    """A cable that is let out is slack; its slider moves by itself: m v / h = k u - c v.
+
+    The base is 2500 times as heavy.
+    """
     plant, servo, step, out = AXES[name].plant(paper, level), paper.servos[0], paper.time_step, 0.1
     gain, damping = servo.gain, servo.damping
     if name == "servo_gain":
@@ -72,17 +60,16 @@ class Clock(Controller):
     """Pulls nothing and notes the time."""
 
     name = "clock"
+    privileged = True
 
     def __init__(self) -> None:
         self.times: list[float] = []
         self.time_step = 0.0
 
-    privileged = True
-
     def begin(self, conditions: Conditions) -> None:
         self.time_step = conditions.robot.time_step
 
-    def act(self, state: State, target: Target, time: NDArray[Any]) -> NDArray[Any]:
+    def act(self, state: State, target: Target, time: NDArray[np.float64]) -> NDArray[np.float64]:
         self.times.append(float(state.time[0]))
         return np.zeros_like(state.cable_travel)
 
@@ -126,7 +113,7 @@ def test_mujocos_own_settings_stretch_a_cable(paper: Robot) -> None:
 
 @pytest.mark.parametrize("workers", [0, 2])
 def test_pybullets_own_settings_damp_a_drift(workers: int, paper: Robot) -> None:
-    """Bullet's law for multibodies is v' = -k (1 + |v|) v, on every body alike: a drift stays a drift."""
+    """Bullet's law for multibodies is v' = -k (1 + |v|) v on every body alike."""
     simulation, after = PybulletSimulation(paper, 2, workers), []
     for _ in range(2):
         snapshot = simulation.get_snapshot()
@@ -215,9 +202,6 @@ def test_an_unknown_axis_is_told() -> None:
     assert find_axes(("all",)) == list(AXES.values())
 
 
-# --- By intent only ------------------------------------------------------------------------------------------------
-
-
 def test_a_policy_acts_on_a_changed_robot_only_if_told_to(policy: Policy, paper: Robot) -> None:
     softer, softest = (AXES["cable_softness"].plant(paper, level) for level in (2.0, 4.0))
     arguments = ("mujoco", "spatter", 1, VALIDATION_SEED)
@@ -225,154 +209,8 @@ def test_a_policy_acts_on_a_changed_robot_only_if_told_to(policy: Policy, paper:
         evaluate(policy, softer.robot, *arguments)
     evaluate(policy, paper, *arguments, plant=softer)
     with pytest.raises(CdcsrError, match="is for robot 'paper'"):
-        evaluate(policy, softer.robot, *arguments)  # told once is not told for ever
+        evaluate(policy, softer.robot, *arguments)  # it does not stay allowed
     with pytest.raises(CdcsrError, match="is for robot 'paper'"):
         evaluate(policy.on(softer.robot), softest.robot, *arguments)
     with pytest.raises(CdcsrError, match="it is for other links or cables"):
         policy.on(load_robot("planar-single"))
-
-
-# --- The sweep's sums ----------------------------------------------------------------------------------------------
-
-
-def _result(success: list[bool], distance: float = 0.5, length: int = 100) -> Result:
-    done = np.array(success)
-    n = len(done)
-    return Result(
-        done,
-        np.where(done, length, 250),
-        np.where(done, 0.02, distance),
-        np.arange(3.0 * n).reshape(n, 3),
-    )
-
-
-def _scripted(monkeypatch: pytest.MonkeyPatch, rates: dict[float, float | None]) -> list[float]:
-    """Makes every evaluation succeed in the first episodes of ten, as many as `rates` say; None diverges."""
-    asked: list[float] = []
-
-    def measured(*arguments: Any, plant: Any, **options: Any) -> Result:  # noqa: ARG001
-        level = 1.0 if plant.parameters is None else float(plant.parameters.link_mass)
-        asked.append(level)
-        rate = rates[level]
-        if rate is None:
-            raise Diverged("mujoco", 3, 0.1, "a speed of 1e9")
-        return _result([i < 10 * rate for i in range(10)])
-
-    monkeypatch.setattr(sweeps, "evaluate", measured)
-    return asked
-
-
-def test_a_sweep_goes_outwards_until_success_halves(
-    monkeypatch: pytest.MonkeyPatch, paper: Robot
-) -> None:
-    asked = _scripted(monkeypatch, {1: 1.0, 2: 0.8, 4: 0.4, 0.5: 0.9, 0.25: None})
-    points = sweep(
-        Clock(), paper, "mujoco", "anchor", AXES["link_mass"], [8, 0.25, 2, 0.125, 4, 0.5], 10
-    )
-    assert asked == [1, 2, 4, 0.5, 0.25]
-    up, down = halvings(points)
-    # A half lies three quarters of the way from 0.8 to 0.4; in ratio, 2 * 2 ** 0.75.
-    assert up.level == pytest.approx(2 * 2**0.75)
-    assert (down.level, down.text) == (None, "diverges at 0.25")
-    assert [row.level for row in points[1].rows] == [2.0] * 10
-    assert points[-1].rows == []
-    assert points[-1].as_dict()["diverged"].startswith("mujoco: copy 3 diverged")
-
-
-def test_offsets_are_interpolated_by_difference() -> None:
-    assert AXES["command_delay"].between(2, 4, 0.5) == 3
-    assert AXES["link_mass"].between(1, 4, 0.5) == pytest.approx(sqrt(4))
-    assert directions(AXES["rest_length_offset"], [0.1, -0.2, 0, -0.1]) == [[0.1], [-0.1, -0.2]]
-
-
-def test_nothing_to_lose_is_an_error(monkeypatch: pytest.MonkeyPatch, paper: Robot) -> None:
-    _scripted(monkeypatch, {1: 0.0})
-    with pytest.raises(CdcsrError, match=r"'clock' has no success in mujoco \(precise, anchor\)"):
-        sweep(Clock(), paper, "mujoco", "anchor", AXES["link_mass"], task="precise")
-
-
-def test_every_point_is_of_the_task(monkeypatch: pytest.MonkeyPatch, paper: Robot) -> None:
-    tasks: list[str] = []
-
-    def measured(*_: Any, task: str = "reach", **__: Any) -> Result:
-        tasks.append(task)
-        return _result([True])
-
-    for module in (sweeps, evaluations):
-        monkeypatch.setattr(module, "evaluate", measured)
-    subject = evaluations.Subject(
-        RunDescription(algorithm=SCRIPTED, task="capture", updates=0), Clock(), paper
-    )
-    assert len(list(evaluations.plants(subject, 1))) > 2 * len(AXES)
-    assert set(tasks) == {"capture"}
-
-
-def test_differences_name_the_episode_and_a_reading() -> None:
-    axis = AXES["link_mass"]
-    first = Point("mujoco", "anchor", axis, 2.0, _result([True, True, False], 0.05))
-    second = Point("pybullet", "anchor", axis, 2.0, _result([False, True, True], 0.2, 240))
-    found = [d.as_dict() for d in differences(first, second)]
-    assert [(d["episode"], d["succeeds"]["backend"]) for d in found] == [
-        (0, "mujoco"),
-        (2, "pybullet"),
-    ]
-    assert found[0]["reading"] == "another path: ends 200 mm from the target"
-    assert found[1]["reading"].startswith("near miss: ends 50 mm")
-    assert found[0]["target"] == [0, 1, 2]
-    assert len(between_engines([first, second])) == 2
-    captured, missed = (
-        Point("mujoco", "anchor", axis, 2.0, _result([True], length=240), task="capture"),
-        [],
-    )
-    for distance in (0.02, 0.2):
-        other = Point("pybullet", "anchor", axis, 2.0, _result([False], distance), task="capture")
-        missed.append(differences(captured, other)[0].as_dict()["reading"])
-    # Near is not enough to capture, and 240 of 500 steps are not late.
-    assert missed[0] == "at the target, but not as capture asks: ends 20 mm from it"
-    assert missed[1] == "another path: ends 200 mm from the target"
-
-
-def test_the_table_tells_the_engines_gap_from_the_parameters() -> None:
-    axis = AXES["command_delay"]
-    points = [
-        Point(backend, "anchor", axis, level, _result([i < successes for i in range(10)]))
-        for backend, counts in (("mujoco", (10, 8, 4)), ("pybullet", (10, 6, 3)))
-        for level, successes in zip((0.0, 1.0, 2.0), counts, strict=True)
-    ]
-    row = " ".join(format_sweep(points).splitlines()[2].split())
-    assert row == "| command_delay | steps | up | 1.75 | 1.33 | 2 | +0.60 / +0.70 | +0.10 (1 / 0) |"
-
-
-def test_the_command_writes_every_episode(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    table, data = tmp_path / "plants.csv", tmp_path / "plants.json"
-    command(
-        "jacobian",
-        backend="mujoco",
-        axis=("engine_defaults",),
-        episodes=2,
-        seed=1,
-        csv=table,
-        json=data,
-    )
-    with table.open(encoding="utf-8") as file:
-        rows = list(csv.DictReader(file))
-    assert list(rows[0]) == [
-        "backend",
-        "space",
-        "axis",
-        "level",
-        "episode",
-        "success",
-        "length",
-        "distance",
-    ]
-    assert [(row["level"], row["episode"]) for row in rows] == [
-        ("0.0", "0"),
-        ("0.0", "1"),
-        ("1.0", "0"),
-        ("1.0", "1"),
-    ]
-    assert [point["level"] for point in json.loads(data.read_text("utf-8"))["points"]] == [0.0, 1.0]
-    assert "| engine_defaults | switch | up |" in capsys.readouterr().out
