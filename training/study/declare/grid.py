@@ -31,8 +31,12 @@ SPACES = ("spatter", "anchor", "floating")
 AROUND = "workspace"
 """The whole workspace of the demonstrator. As an evaluation: the policy is tested there, wherever
 it was trained."""
-METHODS = tuple(name for name, entry in ALGORITHMS.items() if not entry.ablation)
-"""The methods of Table II, in the order in which they are run."""
+_FIRST = ("batd3", "bc", OURS, "td3wd", "rlpd", "rbl", "drldr")
+METHODS = (
+    *_FIRST,
+    *(name for name, entry in ALGORITHMS.items() if not (entry.ablation or name in _FIRST)),
+)
+"""The methods of Table II, in the order in which they are run: those compared most come first."""
 PRACTISING = ("batd3", OURS)
 TASK_METHODS = ("batd3", "bc", OURS, "td3wd", "rlpd")
 ABLATIONS = ("batd3", *(name for name, entry in ALGORITHMS.items() if entry.ablation))
@@ -55,6 +59,8 @@ class Cell:
     evaluations: tuple[str, ...]
     length: int
     """Length of training, as a multiple of the budget's."""
+    every_engine: bool = False
+    """Train once in each installed engine, instead of in the run's own."""
 
 
 @dataclass(frozen=True)
@@ -71,8 +77,8 @@ def _run(
     space: str,
     *evaluations: str,
     length: int = 1,
+    every_engine: bool = False,
     task: str = "reach",
-    backend: str = "mujoco",
     preset: PresetName = "tuned",
     changes: Changes = (),
     demonstrations: int = 10,
@@ -81,14 +87,13 @@ def _run(
     spec = RunDescription(
         algorithm=algorithm,
         preset=preset,
-        backend=backend,
         space=space,
         task=task,
         num_demonstrations=demonstrations,
         randomize=randomize,
         changes=changes,
     )
-    return Cell(spec, evaluations or ("nominal",), length)
+    return Cell(spec, evaluations or ("nominal",), length, every_engine)
 
 
 def _scripted(*evaluations: str, task: str = "reach", space: str = "anchor") -> Cell:
@@ -148,16 +153,13 @@ EXPERIMENTS = {
         ],
     ),
     "transfer": Experiment(
-        "Every method trained in each engine, tested in both.",
+        "Every method trained in each engine, tested in all.",
         [
             _scripted(),
+            *(_run(name, space, every_engine=True) for space, name in product(SPACES, METHODS)),
             *(
-                _run(name, space, backend=backend)
-                for space, name, backend in product(SPACES, METHODS, backend_names())
-            ),
-            *(
-                _run(name, space, task=task, backend=backend)
-                for (task, space), name, backend in product(TASKS, TASK_METHODS, backend_names())
+                _run(name, space, every_engine=True, task=task)
+                for (task, space), name in product(TASKS, TASK_METHODS)
             ),
         ],
     ),
@@ -328,8 +330,10 @@ def collect(
             raise CdcsrError(unknown_choice("experiment", experiment, EXPERIMENTS))
         for cell in EXPERIMENTS[experiment].cells:
             updates = cell.length * budget.length(cell.spec.preset)
-            for seed in range(budget.seeds if cell.spec.trains else 1):
-                spec = replace(cell.spec, seed=seed, updates=updates)
+            engines = backend_names() if cell.every_engine else [cell.spec.backend]
+            seeds = range(budget.seeds if cell.spec.trains else 1)
+            for engine, seed in product(engines, seeds):
+                spec = replace(cell.spec, backend=engine, seed=seed, updates=updates)
                 _, before = runs.get(spec.name, (spec, ()))
                 runs[spec.name] = spec, tuple(dict.fromkeys((*before, *cell.evaluations)))
     return dict(sorted(runs.items(), key=lambda item: item[1][0].seed))

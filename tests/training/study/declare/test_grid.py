@@ -75,6 +75,23 @@ def test_the_demonstrator_runs_once_and_methods_run_with_every_seed() -> None:
     assert all(sorted(found) == [0] * 3 + [1] * 3 + [2] * 3 for found in seeds.values())
 
 
+def test_methods_come_in_the_order_in_which_they_are_compared_most() -> None:
+    runs = collect(["table2"], BUDGETS["quick"]).values()
+    assert [spec.algorithm for spec, _ in runs] == [
+        "jacobian",
+        *("batd3", "bc", "clasp", "td3wd", "rlpd", "rbl", "drldr", "td3", "her") * 3,
+    ]
+
+
+@pytest.mark.usefixtures("third_engine")
+def test_every_method_is_trained_in_every_engine() -> None:
+    runs = [spec for spec, _ in collect(["transfer"], BUDGETS["quick"]).values() if spec.trains]
+    assert [spec.backend for spec in runs] == ["mujoco", "pybullet", "third"] * (len(runs) // 3)
+    assert {spec.backend for spec, _ in collect(["table2"], BUDGETS["quick"]).values()} == {
+        "mujoco"
+    }
+
+
 def test_every_recorded_run_is_declared_unless_its_option_is_retired() -> None:
     declared = {name for budget in BUDGETS.values() for name in collect([*EXPERIMENTS], budget)}
     recorded = {
