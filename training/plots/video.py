@@ -57,14 +57,14 @@ class Recording:
 def record(
     controller: Controller, robot: Robot, backend: str, targets: Array, frame_skip: int = 1
 ) -> Recording:
-    """Run a controller from the start, one episode for each target, and keep where everything was.
+    """Run a controller for one episode a target and record the positions of all bodies.
 
     Args:
-        controller: who acts.
+        controller: the controller that acts.
         robot: the description.
         backend: the engine.
         targets: shape (N, 3), world frame, in [m].
-        frame_skip: simulation steps each action is held for.
+        frame_skip: simulation steps for which each action is held.
     """
     num = len(targets)
     env = TaskVectorEnv(num, robot, backend, frame_skip=frame_skip, autoreset_mode="Disabled")
