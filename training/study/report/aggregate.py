@@ -9,14 +9,14 @@ import numpy as np
 from training.measure.statistics import iqm, over_seeds
 from training.study.report.cells import COST, TRAINED, Table, Value, cost, measure, trained
 from training.study.report.records import SPACES, Run, grouped, is_plain
-from training.study.report.tables import basis
+from training.study.report.table_parts import basis
 
 
 def aggregate(runs: Sequence[Run]) -> Table:
-    """Success in the space and engine of training, over seeds and all spaces (Agarwal et al. 2021).
+    """Return success in the space and engine of training, over seeds and all spaces.
 
-    Spaces are the tasks of the stratified bootstrap: seeds are redrawn in each by itself. Only methods with at least
-    two seeds that all spaces have.
+    Spaces are the tasks of the stratified bootstrap (Agarwal et al. 2021): seeds are redrawn in
+    each space by itself. Only methods with at least two seeds in all spaces are shown.
     """
     chosen = [run for run in runs if is_plain(run.setting)]
     used: list[Run] = []
@@ -48,8 +48,9 @@ def aggregate(runs: Sequence[Run]) -> Table:
                 )
             )
     note = basis(used) + (
-        " The interquartile mean leaves out the best and the worst quarter of a method's runs; intervals are 95 %"
-        " percentile intervals of a bootstrap that redraws seeds in each space by itself."
+        " The interquartile mean leaves out the best and the worst quarter of a method's runs."
+        " Brackets are 95 % percentile intervals of a bootstrap that redraws seeds in each space by"
+        " itself; of three seeds they are about the range."
     )
     best_first = [row for _, row in sorted(rows, key=lambda row: -row[0])]
     return Table(

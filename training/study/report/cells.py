@@ -1,4 +1,4 @@
-"""Measuring a cell of a table, and a table as Markdown and CSV."""
+"""Cells of tables, and a table as Markdown and CSV."""
 
 from __future__ import annotations
 
@@ -29,20 +29,20 @@ class Spread:
 
 
 Value = str | int | float | Estimate | Spread | None
-"""None is what was not run."""
+"""A value of a table; None stands for a run that was not made."""
 
 
 @dataclass(frozen=True)
 class Cell:
-    """What the seeds of one setting did in one evaluation."""
+    """The results of some seeds of one setting in one evaluation."""
 
     success: Estimate
     iqm: Estimate | None
-    """Over seeds; None for fewer than two."""
+    """The interquartile mean over seeds; None for fewer than two."""
     length: Spread
     runs: list[Run]
     episodes: list[Episodes]
-    """Of each run."""
+    """The episodes of each run."""
 
 
 @dataclass(frozen=True)
@@ -50,10 +50,10 @@ class Table:
     """Rows of values under a head; it knows how it is written."""
 
     name: str
-    """Of its files."""
+    """The name of its files."""
     title: str
     note: str
-    """What it rests on, a sentence or two."""
+    """A sentence or two about the runs it rests on."""
     head: Sequence[str]
     rows: Sequence[Sequence[Value]]
 
@@ -87,7 +87,7 @@ class Table:
 def measure(
     runs: Sequence[Run], evaluation: str, engine: str | None = None, **wanted: Any
 ) -> Cell | None:
-    """What some seeds did in one evaluation; None if none of them has it.
+    """Return the results of some seeds in one evaluation; None if none of them has it.
 
     Args:
         runs: seeds of one another.
@@ -121,7 +121,7 @@ COST = ("seeds", "updates", "steps", "minutes")
 
 
 def cost(runs: Sequence[Run] | None) -> list[Value]:
-    """How many seeds, the updates and environment steps of each, and their mean wall-clock minutes of training."""
+    """Return the number of seeds, the updates and steps of each, and the mean minutes."""
     if not runs:
         return [0, None, None, None]
     updates, steps = (
@@ -142,7 +142,7 @@ def _range(numbers: Sequence[int]) -> str:
 
 
 def who(setting: RunDescription) -> str:
-    """A setting's algorithm, with what is switched in its learner and whether plants were randomized in training."""
+    """Return a setting's algorithm with its changed numbers and its domain randomization."""
     parts = [f"{name} = {plain_text(value)}" for name, value in setting.changes]
     if setting.randomize:
         parts.append(
@@ -152,12 +152,12 @@ def who(setting: RunDescription) -> str:
 
 
 def trained(setting: RunDescription) -> list[Value]:
-    """Columns that tell settings apart: algorithm, preset, engine it was trained in."""
+    """Return the columns that tell settings apart: algorithm, preset, engine of training."""
     return [who(setting), setting.preset, engine_title(setting.backend)]
 
 
 def amount(numbers: Iterable[int], noun: str) -> str:
-    """Numbers of something as text: "1 seed", "3 seeds", "1 to 3 seeds"."""
+    """Write an amount: "1 seed", "3 seeds", "1 to 3 seeds"."""
     low, high = min(found := list(numbers)), max(found)
     return f"{low} {noun}{'s' * (low != 1)}" if low == high else f"{low} to {high} {noun}s"
 
@@ -179,7 +179,7 @@ def _text(value: Value) -> str:
 
 
 def _kind(column: Iterable[Value]) -> type:
-    """What a column needs room for: that it has estimates or spreads may show in a later row."""
+    """Return the type of a column; an estimate or a spread may first show in a later row."""
     kinds = [type(value) for value in column if value is not None]
     return next((kind for kind in kinds if kind in (Estimate, Spread)), kinds[0] if kinds else str)
 

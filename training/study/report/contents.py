@@ -6,8 +6,8 @@ from collections import Counter
 from collections.abc import Sequence
 from pathlib import Path
 
+from training.study.declare import grid
 from training.study.declare.budgets import BUDGETS
-from training.study.declare.grid import expected
 from training.study.report.aggregate import aggregate
 from training.study.report.cells import Table
 from training.study.report.engine_differences import differences
@@ -51,4 +51,4 @@ def draw_figures(runs: Sequence[Run], folder: Path) -> list[tuple[str, str]]:
 def expected_runs(runs: Sequence[Run]) -> Expected | None:
     """Return the runs that each experiment has in the budget of most runs; None if unknown."""
     (budget, _), *_ = Counter(run.budget for run in runs).most_common()
-    return expected(BUDGETS[budget]) if budget in BUDGETS else None
+    return grid.expected(BUDGETS[budget]) if budget in BUDGETS else None

@@ -31,7 +31,7 @@ from training.study.report.records import (
     at_home,
     grouped,
 )
-from training.study.report.tables import basis
+from training.study.report.table_parts import basis
 
 ROBOT = "paper"
 """The robot of the study; of another the targets are not known here."""

@@ -10,7 +10,8 @@ from training.algorithms.registry import algorithm_title
 from training.study.report.cells import COST, Cell, Table, Value, cost, measure
 from training.study.report.paper_numbers import DISTURBANCES, TABLE_2, TABLE_3, TABLE_4, Printed
 from training.study.report.records import FOLLOW, SPACES, Run, at_home, grouped, is_plain
-from training.study.report.tables import basis, disturbed
+from training.study.report.table_parts import basis
+from training.study.report.tables import disturbed
 
 TITLE = "# The study in numbers"
 ENGINE = "mujoco"

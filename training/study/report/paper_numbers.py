@@ -1,11 +1,11 @@
-"""The numbers the paper prints (Tian et al., BATD3): Tables II to IV. Success, then mean and deviation of length."""
+"""The numbers that the paper prints (Tian et al., BATD3), Tables II to IV."""
 
 from __future__ import annotations
 
 from training.study.report.cells import Spread
 
 Printed = tuple[float, Spread]
-"""Success rate kappa, and episode length l_epi in simulation steps."""
+"""Success rate kappa, and episode length l_epi (mean and deviation) in simulation steps."""
 
 
 def _row(*numbers: tuple[float, float, float]) -> list[Printed]:

@@ -1,4 +1,4 @@
-"""Figures of what happens after training: a target that moves (Fig. 6), and a plant that is not as described."""
+"""Figures of moving targets (Fig. 6), and of plants that differ from the description."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from training.study.report.cells import amount, who
 from training.study.report.learning_curves import legend, tidy
 from training.study.report.plant_sweeps import sweeps
 from training.study.report.records import SPACES, Run, grouped
-from training.study.report.tables import engines_of
+from training.study.report.table_parts import engines_of
 
 Array = NDArray[np.float64]
 
@@ -29,14 +29,16 @@ _FOLLOWED = {
     "base_attitude_error": ("base attitude [rad]", 1.0, 0.05),
     "tip_error": ("tip to target [mm]", 1000.0, 30.0),
 }
-"""Title, factor to its unit, and the paper's bound in it (section V-F; for the tip, the distance of success)."""
+"""Title, factor to its unit, and the paper's bound in that unit (section V-F; for the tip, the
+threshold of success)."""
 _ROOM = 4
-"""How many times its bound an error may be and still be drawn: one that loses the target must not hide the others."""
+"""Errors above this many times their bound are not drawn: a policy that loses the target must not
+hide the others."""
 _COLUMNS = 4
 
 
 def follow_figures(runs: Sequence[Run], out: Path) -> Iterator[tuple[str, str]]:
-    """Fig. 6, for each task, space and engine of training; tested in that engine.
+    """Draw Fig. 6 for each task, space and engine of training; tested in that engine.
 
     Args:
         runs: of the study.
@@ -77,16 +79,17 @@ def follow_figures(runs: Sequence[Run], out: Path) -> Iterator[tuple[str, str]]:
         yield (
             file,
             (
-                f"Fig. 6: following a moving target; trained to {task} in {SPACES.get(space, space)} Space in {title},"
-                f" {amount(map(len, groups.values()), 'seed')}. Mean over episodes and seeds, and the range of"
-                " nine tenths; dotted, the paper's bounds on the base, and the distance that is success; what leaves a"
-                f" panel is more than {_ROOM} times that."
+                f"Fig. 6: following a moving target; trained to {task} in"
+                f" {SPACES.get(space, space)} Space in {title},"
+                f" {amount(map(len, groups.values()), 'seed')}. Mean over episodes and seeds, and"
+                " the range of nine tenths; dotted, the paper's bounds on the base, and the"
+                f" threshold of success; what leaves a panel is more than {_ROOM} times that."
             ),
         )
 
 
 def plant_figures(runs: Sequence[Run], out: Path) -> Iterator[tuple[str, str]]:
-    """Success along every axis of the plant, for each engine and space of the test.
+    """Draw success along every axis of the plant, for each engine and space of the test.
 
     Args:
         runs: of the study.
@@ -115,18 +118,19 @@ def plant_figures(runs: Sequence[Run], out: Path) -> Iterator[tuple[str, str]]:
                 yield (
                     file,
                     (
-                        f"Success in {title}, {SPACES[space]} Space, on plants that are not as described;"
-                        f" {amount(sizes, 'seed')}. Bands are Wilson intervals over the episodes of all seeds together;"
-                        " only levels that every seed was measured at. Dashed: trained on randomized plants."
+                        f"Success in {title}, {SPACES[space]} Space, on plants that differ from the"
+                        f" description; {amount(sizes, 'seed')}. Bands are Wilson intervals over"
+                        " the episodes of all seeds together; only levels that every seed was"
+                        " measured at. Dashed: trained on randomized plants."
                     ),
                 )
 
 
 def common(seeds: Sequence[Sweep]) -> tuple[Array, Array]:
-    """Success at the levels every seed was measured at.
+    """Return success at the levels that every seed was measured at.
 
     Returns:
-        Levels, shape (L,), and successes and episodes at each, over all seeds together, shape (L, 2).
+        Levels, (L,), and successes and episodes at each over all seeds together, (L, 2).
     """
     levels = sorted(
         set[float]()

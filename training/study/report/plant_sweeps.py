@@ -1,4 +1,4 @@
-"""Sweeps of the plant: one number of it at a time, away from what was trained on."""
+"""Sweeps of the plant: one of its numbers at a time leaves the description."""
 
 from __future__ import annotations
 
@@ -13,10 +13,11 @@ from training.study.report.records import Run
 
 
 def sweeps(runs: Sequence[Run], axis: str, engine: str, space: str) -> dict[str, Sweep]:
-    """The sweeps of some seeds along one axis, in one engine and space, by the names of their runs.
+    """Return the sweeps of some seeds along one axis, by the names of their runs.
 
-    Where the file lacks the level that was trained on, it comes from the nominal evaluation. A level at which the
-    plant diverged has no rows, and is no level of the sweep. An engine to which the axis means nothing has no sweep.
+    If the evaluation lacks the nominal level, it comes from the nominal evaluation. A level at
+    which the simulation diverged has no rows and is no level of the sweep. An engine to which the axis
+    means nothing has no sweep.
 
     Args:
         runs: any.

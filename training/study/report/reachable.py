@@ -1,4 +1,4 @@
-"""How much of what can be reached at all a method reaches, and how much sooner than the demonstrator."""
+"""Success on reachable targets, and lengths of episodes relative to the demonstrator's."""
 
 from __future__ import annotations
 
@@ -21,16 +21,18 @@ from training.study.report.records import (
     is_plain,
     is_usual,
 )
-from training.study.report.tables import basis
+from training.study.report.table_parts import basis
 
 SOONEST = "best of all runs"
-"""Stands where an algorithm would, in the row of the shortest episodes."""
+"""Name of the row of the shortest episodes."""
 _HEAD = ("space", "reachable", *TRAINED, "κ of reachable", "length over the demonstrator's", *COST)
 
 
 def beside_demonstrator(runs: Sequence[Run]) -> Table:
-    """Success on the held-out targets that somebody reaches in time, and lengths of episodes relative to the
-    demonstrator's, in the space and engine of training."""
+    """Return success on the held-out targets that any run reaches, and relative lengths.
+
+    Both are in the space and engine of training.
+    """
     chosen = [run for run in runs if is_usual(run.setting)]
     rows: list[list[Value]] = []
     for space in SPACES:
@@ -60,24 +62,25 @@ def beside_demonstrator(runs: Sequence[Run]) -> Table:
             )
         rows += _soonest(runs, space, known)
     note = basis(chosen) + (
-        " Reachable are the targets that any run of the study reaches in time, in any engine. Lengths are compared over"
-        " the targets that both the policy and the demonstrator reach, and averaged over seeds. The last row of a space"
-        " takes, target by target, the shortest episode that any run had there: nobody here does better."
+        " Reachable are the targets that any run of the study reaches in time, in any engine."
+        " Lengths are compared over the targets that both the policy and the demonstrator reach,"
+        " and averaged over seeds. The last row of a space takes, target by target, the shortest"
+        " episode of all runs."
     )
     return Table("reachable", "Beside the demonstrator", note, _HEAD, rows)
 
 
 def reachable(runs: Sequence[Run], space: str) -> NDArray[np.int64]:
-    """The held-out targets of a space of the paper that any run reaches, undisturbed, in any engine.
+    """Return the held-out targets of a space that any run reaches, undisturbed, in any engine.
 
-    Only runs with as many demonstrations as the paper's: Floating and Spatter lie around the demonstrations' targets.
+    Only runs with ten demonstrations count: Floating and Spatter lie around their targets.
     """
     found = [episodes.episode[episodes.success] for episodes in _found(runs, space)]
     return np.unique(np.concatenate(found)) if found else np.empty(0, np.int64)
 
 
 def _found(runs: Sequence[Run], space: str) -> Iterator[Episodes]:
-    """The undisturbed episodes of each of those runs, in any engine."""
+    """Yield the undisturbed episodes of each of those runs, in any engine."""
     for run in runs:
         if (
             is_of_paper(run.setting)
@@ -88,7 +91,7 @@ def _found(runs: Sequence[Run], space: str) -> Iterator[Episodes]:
 
 
 def _soonest(runs: Sequence[Run], space: str, known: NDArray[np.int64]) -> list[list[Value]]:
-    """A row of the shortest episode of all, target by target."""
+    """Return a row of the shortest episode of all, target by target."""
     demonstrator = _demonstrator(runs, "mujoco", space)
     if demonstrator is None:
         return []
@@ -133,7 +136,7 @@ def _demonstrator(runs: Sequence[Run], backend: str, space: str) -> Episodes | N
 
 
 def _length_over(own: Episodes, other: Episodes | None) -> float | None:
-    """Mean length over the other's, on the targets that both reach."""
+    """Return the mean length over the other's, on the targets that both reach."""
     if other is None:
         return None
     targets = np.intersect1d(own.episode[own.success], other.episode[other.success])

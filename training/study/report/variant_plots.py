@@ -1,4 +1,4 @@
-"""What a change to a learner does to its learning: a panel for each, beside the learner as it is."""
+"""Learning curves of variants: a panel for each change, beside the learner as it is."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from training.study.report.learning_curves import (
     tidy,
 )
 from training.study.report.records import SPACES, Run, grouped, plain_text
-from training.study.report.tables import variants
+from training.study.report.tables_beyond import variants
 
 COLUMNS = 5
 _CHANGED = "with the change"
@@ -51,8 +51,8 @@ def variant_figures(runs: Sequence[Run], out: Path) -> Iterator[tuple[str, str]]
             yield (
                 file,
                 (
-                    f"Variants in {title} Space, each beside its algorithm without the change, trained in"
-                    f" {engine_title(engine)}{length}. {caption(own)}"
+                    f"Variants in {title} Space, each beside its algorithm without the change,"
+                    f" trained in {engine_title(engine)}{length}. {caption(own)}"
                 ),
             )
 

@@ -21,16 +21,8 @@ from training.study.report.page import beside_paper, missing
 from training.study.report.paper_numbers import TABLE_2, TABLE_3, TABLE_4
 from training.study.report.reachable import beside_demonstrator
 from training.study.report.records import load_study
-from training.study.report.tables import (
-    comparison,
-    generalization,
-    own_ablation,
-    presets,
-    raised,
-    robustness,
-    tasks,
-    variants,
-)
+from training.study.report.tables import comparison, generalization, robustness
+from training.study.report.tables_beyond import own_ablation, presets, raised, tasks, variants
 from training.study.report.variant_plots import variant_figures
 
 

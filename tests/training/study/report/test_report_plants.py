@@ -11,7 +11,8 @@ from training.report import report
 from training.study.report.engine_differences import differences
 from training.study.report.plant_sweeps import sweeps
 from training.study.report.records import load_study
-from training.study.report.tables import halvings, transfer
+from training.study.report.tables import transfer
+from training.study.report.tables_beyond import halvings
 
 
 def test_transfer_counts_paired_disagreements(study: Path) -> None:

@@ -22,17 +22,16 @@ from training.study.report.page import beside_paper, page
 from training.study.report.plant_sweeps import sweeps
 from training.study.report.reachable import beside_demonstrator
 from training.study.report.records import load_study, read_episodes
+from training.study.report.table_parts import engines_of
 from training.study.report.tables import (
     ablation,
     comparison,
     demonstrations,
-    engines_of,
     generalization,
-    halvings,
     robustness,
-    tasks,
 )
 from training.study.report.tables import transfer as between_engines
+from training.study.report.tables_beyond import halvings, tasks
 
 
 def shown(table: Table, *names: str) -> list[tuple[Any, ...]]:

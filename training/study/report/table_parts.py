@@ -1,0 +1,104 @@
+"""Parts that the tables share: rows, heads, and what numbers rest on."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Sequence
+from itertools import combinations
+
+import numpy as np
+
+from cdcsr.simulation.engines import backend_names, engine_title
+from training.algorithms.registry import algorithm_title
+from training.measure.statistics import disagreement
+from training.study.report.cells import (
+    Value,
+    amount,
+    cost,
+    measure,
+    trained,
+)
+from training.study.report.records import (
+    SPACES,
+    Run,
+    at_home,
+    grouped,
+)
+
+RESULT = ("κ", "IQM of κ", "l_epi")
+"""Heads of what :func:`result` gives."""
+
+
+def engines_of(runs: Iterable[Run], evaluation: str = "nominal") -> list[str]:
+    """Return the engines that some runs were evaluated in, installed ones first."""
+    names = {
+        str(x)
+        for run in runs
+        if evaluation in run.evaluations
+        for x in run.evaluations[evaluation].backend
+    }
+    installed = backend_names()
+    return sorted(names, key=lambda name: (name not in installed, name))
+
+
+def basis(runs: Sequence[Run]) -> str:
+    """Say what some numbers rest on, in a sentence."""
+    if not runs:
+        return "No run of this is finished."
+    return (
+        f"{amount([len(runs)], 'run')}, "
+        f"{amount(map(len, grouped(runs).values()), 'seed')} a setting, "
+        f"{amount((run.updates for run in runs), 'update')} a run, "
+        f"{np.sum([run.minutes for run in runs]):.0f} minutes of training in all."
+    )
+
+
+def home_rows(runs: Sequence[Run], space: str, wanted: Sequence[str]) -> Iterator[list[Value]]:
+    """Yield the rows of one space, and one for each wanted algorithm that has no run there."""
+    have = set()
+    for setting, group in grouped(runs, "space").items():
+        seeds = at_home(group, space)
+        if seeds:
+            have.add(setting.algorithm)
+            yield [SPACES[space], *trained(setting), *result(seeds, space=space), *cost(seeds)]
+    for algorithm in wanted:
+        if algorithm not in have:
+            yield [SPACES[space], *not_run(algorithm)]
+
+
+def result(seeds: Sequence[Run], space: str) -> list[Value]:
+    cell = measure(seeds, "nominal", space=space)
+    return [cell.success, cell.iqm or "-", cell.length] if cell else [None, None, None]
+
+
+def success(seeds: Sequence[Run], evaluation: str, space: str, engine: str | None = None) -> Value:
+    cell = measure(seeds, evaluation, engine, space=space)
+    return cell.success if cell else None
+
+
+def not_run(algorithm: str) -> list[Value]:
+    return [algorithm_title(algorithm), "-", engine_title("mujoco"), None, None, None, *cost(None)]
+
+
+def engine_heads(engines: Sequence[str]) -> list[str]:
+    titles = [engine_title(name) for name in engines]
+    return [f"κ in {title}" for title in titles] + [
+        f"only {a} / only {b}" for a, b in combinations(titles, 2)
+    ]
+
+
+def in_engines(seeds: Sequence[Run], engines: Sequence[str], space: str) -> list[Value]:
+    values = [success(seeds, "nominal", space, engine) for engine in engines]
+    return values + [_disagreements(seeds, pair, space) for pair in combinations(engines, 2)]
+
+
+def _disagreements(seeds: Sequence[Run], engines: tuple[str, str], space: str) -> Value:
+    counts, total = np.zeros(2, dtype=int), 0
+    for run in seeds:
+        if "nominal" in run.evaluations:
+            first, second = (
+                run.evaluations["nominal"].where(backend=name, space=space) for name in engines
+            )
+            if len(first) and np.array_equal(first.episode, second.episode):
+                counts += disagreement(first.success, second.success)
+                total += len(first)
+    return f"{counts[0]} / {counts[1]} of {total}" if total else None
