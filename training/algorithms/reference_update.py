@@ -13,20 +13,18 @@ eq. 6, and self-imitation is Oh et al. 2018, eq. 2.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Literal, NamedTuple
+from typing import NamedTuple
 
 import torch
 from torch import Generator, Tensor
 from torch.nn import functional
 
 from training.algorithms.batd3 import AssistedNumbers
+from training.algorithms.clasp import CLASPNumbers
 from training.algorithms.imitation import Imitation
+from training.algorithms.rbl import RBLNumbers
 from training.algorithms.td3 import BackboneNumbers, TD3Numbers
 from training.experience.replay import Batch
-
-Losses = Literal["td3", "batd3", "rbl", "clasp"]
-"""The algorithms whose losses differ. The others are TD3 with other numbers, another reward, or
-another first content of the replay buffer."""
 
 
 class Layer(NamedTuple):
@@ -58,7 +56,6 @@ def update(
     networks: Networks,
     batch: Batch,
     learner: BackboneNumbers,
-    losses: Losses,
     generator: Generator,
     shown: tuple[Tensor, Tensor] | None = None,
 ) -> None:
@@ -67,14 +64,13 @@ def update(
     Args:
         networks: the weights.
         batch: drawn from the replay; its observations are encoded, shape (B, F).
-        learner: the learner's numbers.
-        losses: the algorithm.
-        generator: draws target noise, critics, and what an algorithm draws besides.
+        learner: the numbers of the algorithm; their class says which losses apply.
+        generator: draws target noise, subsets of critics and choices, in the algorithms' order.
         shown: for RBL the demonstrations: encoded observations (N, F) and actions (N, C).
     """
     networks.updates += 1
     with torch.no_grad():
-        value = next_value(networks, batch, learner, losses, generator)
+        value = next_value(networks, batch, learner, generator)
         target = batch.reward + batch.discount * value  # n-step: both come from the replay
         if isinstance(learner, TD3Numbers) and learner.clip_targets:
             target = target.clamp(0, 1)
@@ -82,13 +78,13 @@ def update(
     descend(networks.critic_optimizer, errors.square().mean(1).sum())
     average(networks.target_critics, networks.critics, learner.soft_update)
     if networks.updates % learner.policy_delay == 0:
-        loss = actor_loss(networks, batch, learner, losses, generator, shown)
+        loss = actor_loss(networks, batch, learner, generator, shown)
         descend(networks.actor_optimizer, loss)
         average(networks.target_actor, networks.actor, learner.soft_update)
 
 
 def next_value(
-    networks: Networks, batch: Batch, learner: BackboneNumbers, losses: Losses, generator: Generator
+    networks: Networks, batch: Batch, learner: BackboneNumbers, generator: Generator
 ) -> Tensor:
     """Return the value at the end of each transition, shape (B,)."""
     action = torch.tanh(outputs(networks.target_actor, batch.next_observation)[0])
@@ -100,7 +96,7 @@ def next_value(
         return values(networks.target_critics, batch.next_observation, action)[drawn].amin(0)
 
     policy = least(action)
-    if losses != "batd3" or not isinstance(learner, AssistedNumbers):
+    if not isinstance(learner, AssistedNumbers):
         return policy
     clone = least(batch.next_bc_action)
     probability = torch.sigmoid(learner.softmax_temperature * (clone - policy))
@@ -112,7 +108,6 @@ def actor_loss(
     networks: Networks,
     batch: Batch,
     learner: BackboneNumbers,
-    losses: Losses,
     generator: Generator,
     shown: tuple[Tensor, Tensor] | None,
 ) -> Tensor:
@@ -120,12 +115,12 @@ def actor_loss(
     logits = outputs(networks.actor, batch.observation)[0]
     action = torch.tanh(logits)
     saturation = learner.saturation_penalty * functional.relu(logits.abs() - 3).square().mean()
-    if losses == "clasp":  # one critic judges
+    if isinstance(learner, CLASPNumbers):  # one critic judges
         drawn = torch.randint(learner.critics, (1,), generator=generator)
     else:
         drawn = draw(learner, generator)
     value = values(networks.critics, batch.observation, action)[drawn].mean(0)
-    if losses == "rbl" and shown is not None:
+    if isinstance(learner, RBLNumbers) and shown is not None:
         clone = values(networks.critics, batch.observation, batch.bc_action)[drawn].mean(0)
         share = (clone > value).float().mean()
         chosen = torch.randint(len(shown[0]), (learner.batch_size,), generator=generator)

@@ -13,7 +13,7 @@ from cdcsr.robot.description import Robot
 from cdcsr.tasks.observation import observation_size
 from tests.support.stacked import stacked_actor, stacked_ensemble
 from training.algorithms.clasp import CLASP
-from training.algorithms.reference_update import Layer, Losses, Networks, parameters, update
+from training.algorithms.reference_update import Layer, Networks, parameters, update
 from training.algorithms.registry import ALGORITHMS, own_numbers
 from training.algorithms.td3 import TD3, BackboneNumbers
 from training.config.run_description import PresetName
@@ -22,14 +22,6 @@ from training.experience.replay import Batch
 Make = Callable[..., TD3[Any]]
 ROWS = 32
 LEARNERS = {name: one.learner for name, one in ALGORITHMS.items() if one.learner}
-LOSSES: dict[str, Losses] = {
-    "batd3": "batd3",
-    "batd3-no-prefill": "batd3",
-    "batd3-no-ensemble": "batd3",
-    "rbl": "rbl",
-    "clasp": "clasp",
-}
-"""All others have those of TD3."""
 
 
 def _stacks(algorithm: TD3[Any]) -> tuple[list[Layer], list[Layer], list[Layer], list[Layer]]:
@@ -96,7 +88,7 @@ def _compare(
         batch = batch._replace(
             observation=encode(batch.observation), next_observation=encode(batch.next_observation)
         )
-        update(networks, batch, learner, LOSSES.get(name, "td3"), draws[1], shown)
+        update(networks, batch, learner, draws[1], shown)
     tolerance = 1e-10 if dtype == torch.float64 else 1e-4
     for ours, theirs in zip(stacks, _stacks(algorithm), strict=True):
         for a, b in zip(parameters(ours), parameters(theirs), strict=True):
@@ -117,7 +109,7 @@ def test_every_algorithm_equals_the_reference(
     _compare(small_robot, name, _small(name, preset))
 
 
-@pytest.mark.parametrize("name", ["td3", "batd3", "rbl", "clasp"])
+@pytest.mark.parametrize("name", LEARNERS)
 def test_every_option_equals_the_reference(small_robot: Robot, name: str) -> None:
     learner = _small(name, "paper-reading")
     numbers = {
