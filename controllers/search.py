@@ -90,8 +90,7 @@ def improve(
 
     Args:
         controller: the controller with which the search begins.
-        env: copies of one robot with autoreset disabled, disturbed or not, at a task that ends
-            with success.
+        env: copies of one robot with autoreset disabled, at a task that ends with success.
         target: shape (3,), in [m].
         rounds: the number of rounds.
         seed: seeds plans and disturbances.

@@ -3,6 +3,10 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from controllers.rollout import Episode
 
 
 def demonstrate(
@@ -42,20 +46,12 @@ def demonstrate(
     if episodes < 1:
         raise CdcsrError(f"episodes must be at least 1, not {episodes}.")
     with new_folder(out, "demonstrations", force) as folder:
-        env = TaskVectorEnv(
-            episodes,
-            robot,
-            backend,
-            space,
-            frame_skip=frame_skip,
-            task=task,
-            autoreset_mode="Disabled",
-        )
+        options = {"frame_skip": frame_skip, "task": task, "autoreset_mode": "Disabled"}
+        env = TaskVectorEnv(episodes, robot, backend, space, **options)
         controller = JacobianController(env.robot)
         recorded, failed = demonstrations.record(controller, env, episodes, seed)
         demonstrations.save(folder, recorded, env, controller.name, out.name)
         env.close()
-    lengths = [frame_skip * episode.length for episode in recorded]
     summary = {
         "out": str(out),
         "robot": env.robot.name,
@@ -63,16 +59,24 @@ def demonstrate(
         "backend": backend,
         "space": space,
         "seed": seed,
+        **_numbers(recorded, failed, frame_skip),
+    }
+    print(
+        "{episodes} demonstrations of {robot} in {backend} ({task}, {space}, seed {seed}): "
+        "{steps} steps, {length_mean:.1f} on average, {failed} failed and drawn anew -> {out}"
+        "".format(**summary)
+    )
+    if json is not None:
+        write_json(json, summary)
+
+
+def _numbers(recorded: list[Episode], failed: int, frame_skip: int) -> dict[str, object]:
+    """Return the numbers of the summary; lengths are in simulation steps."""
+    lengths = [frame_skip * episode.length for episode in recorded]
+    return {
         "episodes": len(recorded),
         "failed": failed,
         "steps": sum(lengths),
         "length_mean": sum(lengths) / len(lengths),
         "targets": [episode.target.tolist() for episode in recorded],
     }
-    print(
-        f"{len(recorded)} demonstrations of {env.robot.name} in {backend} ({env.task.name}, "
-        f"{space}, seed {seed}): {sum(lengths)} steps, {summary['length_mean']:.1f} on average, "
-        f"{failed} failed and drawn anew -> {out}"
-    )
-    if json is not None:
-        write_json(json, summary)

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 from contextlib import closing
+from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, NamedTuple, TypedDict
 
 from cdcsr.files import WorkingFolder
 
@@ -12,7 +13,9 @@ if TYPE_CHECKING:
     import numpy as np
     from numpy.typing import NDArray
 
+    from cdcsr.envs.disturbances import Disturbances
     from cdcsr.envs.gym_env import TaskVectorEnv
+    from cdcsr.robot.description import Robot
     from controllers.controller import Controller
     from controllers.search import Outcome
 
@@ -36,6 +39,17 @@ class _Row(NamedTuple):
     best_reached: float
     best_length: float
     best_nearest: float
+
+
+class _Summary(TypedDict):
+    """Means over all targets, and what no plan reaches."""
+
+    reached: float
+    length: float
+    best_reached: float
+    best_length: float
+    never: list[int]
+    most_steps: int
 
 
 def search(
@@ -82,9 +96,34 @@ def search(
         json: also write the summary to this file.
     """
     from cdcsr.envs.disturbances import Disturbances
-    from cdcsr.envs.gym_env import TaskVectorEnv
-    from cdcsr.errors import CdcsrError
     from cdcsr.files import write_json
+
+    disturbances = Disturbances(action_noise, base_noise, packet_loss)
+    asked = _prepare(policy, backend, space, episodes, rounds, missed, seed, robot, disturbances)
+    summary = asked.run(out, force)
+    print(
+        f"\n{asked.controller.name} in {asked.space}, {episodes} targets: reaches "
+        f"{summary['reached']:.3f} in {summary['length']:.1f} steps (failures in full); the best "
+        f"found reaches {summary['best_reached']:.3f} in {summary['best_length']:.1f}. "
+        f"Never reached: {', '.join(map(str, summary['never'])) or 'none'}."
+    )
+    if json is not None:
+        write_json(json, {**asked.identity(), **summary})
+
+
+def _prepare(
+    policy: str,
+    backend: str,
+    space: str | None,
+    episodes: int,
+    rounds: int,
+    missed: bool,
+    seed: int | None,
+    robot: str,
+    disturbances: Disturbances,
+) -> _Search:
+    """Find the controller, and check that it can be searched around."""
+    from cdcsr.errors import CdcsrError
     from cdcsr.robot.description import load_robot
     from training.commands.measured import find_controller, robot_of, set_threads
     from training.config.seeds import TEST_SEED
@@ -95,57 +134,6 @@ def search(
             raise CdcsrError(f"{name} must be at least 1, not {value}.")
     description = load_robot(robot)
     controller = find_controller(policy, description)
-    _check_searchable(controller)
-    env_options = {
-        "robot": robot_of(controller, description),
-        "backend": backend,
-        "space": space or controller.space or "anchor",
-        "task": controller.task,
-        "autoreset_mode": "Disabled",
-        "centers": controller.centers,
-    }
-    seed = TEST_SEED if seed is None else seed
-    drawn = TaskVectorEnv(episodes, **env_options)
-    drawn.reset(seed=seed)
-    targets = drawn.targets.copy()
-    drawn.close()
-    identity = {
-        "controller": controller.name,
-        "weights": getattr(controller, "digest", None),
-        "robot": drawn.robot.fingerprint,
-        "backend": backend,
-        "space": env_options["space"],
-        "task": controller.task,
-        "seed": seed,
-        "episodes": episodes,
-        "rounds": rounds,
-        "missed": missed,
-        "action_noise": action_noise,
-        "base_noise": base_noise,
-        "packet_loss": packet_loss,
-    }
-    if action_noise or base_noise or packet_loss:
-        # Older searches reported the tries that chose the plan; they cannot be resumed.
-        identity["told"] = "by tries drawn anew"
-    disturbances = Disturbances(action_noise, base_noise, packet_loss)
-    environment = TaskVectorEnv(_COPIES, disturbances=disturbances, **env_options)
-    with closing(environment) as env, SEARCH_FOLDER.claim(out, identity, force=force):
-        rows = _search_all(controller, env, targets, rounds, seed, missed, out / "targets.csv")
-    summary = identity | _summary(rows, env.max_actions)
-    print(
-        f"\n{controller.name} in {summary['space']}, {episodes} targets: reaches "
-        f"{summary['reached']:.3f} in {summary['length']:.1f} steps (failures in full); the best "
-        f"found reaches {summary['best_reached']:.3f} in {summary['best_length']:.1f}. "
-        f"Never reached: {', '.join(map(str, summary['never'])) or 'none'}."
-    )
-    if json is not None:
-        write_json(json, summary)
-
-
-def _check_searchable(controller: Controller) -> None:
-    """Refuse a controller of a task that does not end with success, or of longer actions."""
-    from cdcsr.errors import CdcsrError
-
     if controller.task not in ("reach", "precise", "quiet"):
         raise CdcsrError(
             f"{controller.name} is for the task {controller.task}; a search is for controllers of "
@@ -156,41 +144,106 @@ def _check_searchable(controller: Controller) -> None:
             f"{controller.name} holds actions for {controller.frame_skip} steps; a search is for "
             "controllers with one action a step."
         )
+    return _Search(
+        controller,
+        robot_of(controller, description),
+        backend,
+        space or controller.space or "anchor",
+        TEST_SEED if seed is None else seed,
+        episodes,
+        rounds,
+        missed,
+        disturbances,
+    )
 
 
-def _search_all(
-    controller: Controller,
-    env: TaskVectorEnv,
-    targets: NDArray[np.float64],
-    rounds: int,
-    seed: int,
-    missed: bool,
-    table: Path,
-) -> list[_Row]:
-    """Search at each target that the table lacks, and write the table after each of them."""
-    from cdcsr.files import write_text
-    from controllers.search import improve
+@dataclass(frozen=True)
+class _Search:
+    """The options of a search."""
 
-    rows = _read_rows(table, targets.round(4))
-    for episode in range(len(rows), len(targets)):
-        target = targets[episode]
-        alone, best = improve(
-            controller,
-            env,
-            target,
-            rounds,
-            seed + episode,
-            lambda outcome: not missed or outcome.reached < 0.5,
+    controller: Controller
+    robot: Robot
+    backend: str
+    space: str
+    seed: int
+    episodes: int
+    rounds: int
+    missed: bool
+    disturbances: Disturbances
+
+    def identity(self) -> dict[str, object]:
+        """Return what must be the same for a search to be resumed."""
+        one = self.disturbances
+        noise = {name: getattr(one, name) for name in ("action_noise", "base_noise", "packet_loss")}
+        identity: dict[str, object] = {
+            "controller": self.controller.name,
+            "weights": getattr(self.controller, "digest", None),
+            "robot": self.robot.fingerprint,
+            "backend": self.backend,
+            "space": self.space,
+            "task": self.controller.task,
+            "seed": self.seed,
+            "episodes": self.episodes,
+            "rounds": self.rounds,
+            "missed": self.missed,
+            **noise,
+        }
+        if any(noise.values()):
+            # Older searches reported the tries that chose the plan; they cannot be resumed.
+            identity["told"] = "by tries drawn anew"
+        return identity
+
+    def run(self, out: Path, force: bool) -> _Summary:
+        """Search at all targets, in a folder that is new or holds this search.
+
+        Raises:
+            CdcsrError: the folder holds something else, or its table is damaged.
+        """
+        drawn = self._env(self.episodes)
+        drawn.reset(seed=self.seed)
+        targets = drawn.targets.copy()
+        drawn.close()
+        env = self._env(_COPIES, self.disturbances)
+        with closing(env), SEARCH_FOLDER.claim(out, self.identity(), force=force):
+            return _summarize(self._search(env, targets, out / "targets.csv"), env.max_actions)
+
+    def _env(self, num: int, disturbances: Disturbances | None = None) -> TaskVectorEnv:
+        from cdcsr.envs.gym_env import TaskVectorEnv
+
+        return TaskVectorEnv(
+            num,
+            self.robot,
+            self.backend,
+            self.space,
+            task=self.controller.task,
+            centers=self.controller.centers,
+            disturbances=disturbances,
+            autoreset_mode="Disabled",
         )
-        numbers = [*target.round(4).tolist(), *_plain(alone), *_plain(best)]
-        rows.append(_Row._make([episode, *numbers]))
-        lines = [",".join(map(str, row)) + "\n" for row in [_Row._fields, *rows]]
-        write_text(table, "".join(lines))
-        print(
-            f"{episode + 1} of {len(targets)}: {_text(alone)}; best {_text(best)}",
-            flush=True,
-        )
-    return rows
+
+    def _search(self, env: TaskVectorEnv, targets: NDArray[np.float64], table: Path) -> list[_Row]:
+        """Search at each target that the table lacks, and write the table after each of them."""
+        from cdcsr.files import write_text
+        from controllers.search import improve
+
+        rows = _read_rows(table, targets.round(4))
+        for episode in range(len(rows), self.episodes):
+            alone, best = improve(
+                self.controller,
+                env,
+                targets[episode],
+                self.rounds,
+                self.seed + episode,
+                lambda outcome: not self.missed or outcome.reached < 0.5,
+            )
+            numbers = [*targets[episode].round(4).tolist(), *_plain(alone), *_plain(best)]
+            rows.append(_Row._make([episode, *numbers]))
+            lines = [",".join(map(str, row)) + "\n" for row in [_Row._fields, *rows]]
+            write_text(table, "".join(lines))
+            print(
+                f"{episode + 1} of {self.episodes}: {_text(alone)}; best {_text(best)}", flush=True
+            )
+        return rows
 
 
 def _plain(outcome: Outcome) -> tuple[float, float, float]:
@@ -202,7 +255,7 @@ def _text(outcome: Outcome) -> str:
     return f"reached {outcome.reached:.2f}, {outcome.length:.0f} steps, nearest {nearest:.0f} mm"
 
 
-def _summary(rows: list[_Row], most: int) -> dict[str, Any]:
+def _summarize(rows: list[_Row], most: int) -> _Summary:
     """Return means over targets, and the targets that no plan reaches."""
     return {
         "reached": sum(row.reached for row in rows) / len(rows),

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from itertools import product
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -40,14 +41,43 @@ def sweep(
         csv: also write every episode to this file.
     """
     from cdcsr.files import write_json, write_text
+    from training.measure.plant_sweep import Row
+    from training.measure.sweep_table import as_dict, format_sweep
+
+    head, lines = _measure(policy, backend, space, task, axis, episodes, seed, robot)
+    points = [point for line in lines for point in line]
+    nominal = list({line[0].backend: line[0] for line in lines}.values())
+    rates = ", ".join(f"{point.backend} {_rate(point)}" for point in nominal)
+    print(
+        "\n{policy}, {task} in {space}: {episodes} episodes at each level, target seed {seed}; "
+        "nominal {rates}\n".format(**head, rates=rates)
+    )
+    print(format_sweep(points))
+    _show_differences(nominal)
+    if csv is not None:
+        table = [Row._fields, *(row for point in points for row in point.rows)]
+        write_text(csv, "".join(",".join(map(str, row)) + "\n" for row in table))
+    if json is not None:
+        write_json(json, {**head, **as_dict(lines)})
+
+
+def _measure(
+    policy: str,
+    backend: str,
+    space: str | None,
+    task: str | None,
+    axis: tuple[str, ...],
+    episodes: int,
+    seed: int | None,
+    robot: str,
+) -> tuple[dict[str, object], list[list[Point]]]:
+    """Return what is swept, and the points of each axis in each engine."""
     from cdcsr.robot.description import load_robot
     from cdcsr.simulation.engines import chosen_backends
     from training.commands.measured import find_controller, robot_of, set_threads
     from training.config.seeds import TEST_SEED
     from training.measure.plant_axes import find_axes
-    from training.measure.plant_sweep import Row
     from training.measure.plant_sweep import sweep as measure
-    from training.measure.sweep_table import as_dict, format_sweep
 
     set_threads()
     axes, backends, description = find_axes(axis), chosen_backends(backend), load_robot(robot)
@@ -57,36 +87,24 @@ def sweep(
     seed = TEST_SEED if seed is None else seed
     lines: list[list[Point]] = []
     nominal: dict[str, Point] = {}
-    for each in axes:
-        for engine in backends:
-            line = measure(
-                controller,
-                description,
-                engine,
-                space,
-                each,
-                None,
-                episodes,
-                seed,
-                nominal.get(engine),
-                _progress,
-                task,
-            )
-            nominal[engine] = line[0]
-            lines.append(line)
-    points = [point for line in lines for point in line]
-    print(
-        f"\n{controller.name}, {task} in {space}: {episodes} episodes at each level, target seed "
-        f"{seed}; nominal {', '.join(f'{name} {_rate(p)}' for name, p in nominal.items())}\n"
-    )
-    print(format_sweep(points))
-    _show_differences(list(nominal.values()))
-    if csv is not None:
-        table = [Row._fields, *(row for point in points for row in point.rows)]
-        write_text(csv, "".join(",".join(map(str, row)) + "\n" for row in table))
-    if json is not None:
-        head = {"policy": controller.name, "task": task, "space": space}
-        write_json(json, {**head, "seed": seed, "episodes": episodes, **as_dict(lines)})
+    for each, engine in product(axes, backends):
+        line = measure(
+            controller,
+            description,
+            engine,
+            space,
+            each,
+            None,
+            episodes,
+            seed,
+            nominal.get(engine),
+            _progress,
+            task,
+        )
+        nominal[engine] = line[0]
+        lines.append(line)
+    head = {"policy": controller.name, "task": task, "space": space}
+    return {**head, "seed": seed, "episodes": episodes}, lines
 
 
 def _rate(point: Point) -> str:

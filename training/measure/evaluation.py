@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from contextlib import closing
 from dataclasses import dataclass, replace
 from typing import TypedDict
 
@@ -113,6 +114,32 @@ def evaluate(
     plant, disturbances = plant or ActualPlant(robot), disturbances or Disturbances()
     if isinstance(controller, Policy) and plant.robot is not robot:
         controller = controller.on(plant.robot)
+    env = _environment(
+        plant, backend, space, episodes, frame_skip, max_steps, centers, disturbances, task
+    )
+    with closing(env):
+        observation, _ = env.reset(seed=seed)
+        outcome = rollout(controller, env, observation)
+    return Result(
+        outcome.success,
+        np.where(outcome.success, outcome.length * frame_skip, max_steps),
+        outcome.distance,
+        outcome.targets,
+    )
+
+
+def _environment(
+    plant: ActualPlant,
+    backend: str,
+    space: str,
+    episodes: int,
+    frame_skip: int,
+    max_steps: int,
+    centers: Array | None,
+    disturbances: Disturbances,
+    task: str,
+) -> TaskVectorEnv:
+    """Make the environment that simulates a plant; steps are those of the model."""
     if plant.observation_delay:
         disturbances = replace(disturbances, observation_delay=plant.observation_delay)
     env = TaskVectorEnv(
@@ -127,18 +154,8 @@ def evaluate(
         disturbances=disturbances,
         autoreset_mode="Disabled",
     )
-    try:
-        if plant.own_settings or plant.own_cables:
-            env.simulation.use_own_settings(numbers=plant.own_settings)
-        if plant.parameters is not None:
-            env.simulation.set_parameters(None, plant.parameters)
-        observation, _ = env.reset(seed=seed)
-        outcome = rollout(controller, env, observation)
-        return Result(
-            outcome.success,
-            np.where(outcome.success, outcome.length * frame_skip, max_steps),
-            outcome.distance,
-            outcome.targets,
-        )
-    finally:
-        env.close()
+    if plant.own_settings or plant.own_cables:
+        env.simulation.use_own_settings(numbers=plant.own_settings)
+    if plant.parameters is not None:
+        env.simulation.set_parameters(None, plant.parameters)
+    return env

@@ -99,7 +99,7 @@ def sweep(
         backend: the engine.
         space: the operation space.
         axis: the kind of model error.
-        levels: in any order; by default the axis's own. The nominal one is always measured.
+        levels: in any order; by default the axis's own. Nominal is always measured.
         episodes: how many episodes at each level.
         seed: seeds the targets, which are the same at all levels.
         nominal: the nominal point if it is measured already, as it is the same on all axes.
@@ -112,10 +112,12 @@ def sweep(
     Raises:
         CdcsrError: nothing succeeds on the nominal plant, or a level is none of this axis.
     """
+
+    def measured(level: float) -> Point:
+        return _measure(controller, robot, backend, space, axis, level, episodes, seed, task)
+
     if nominal is None:
-        nominal = _measure(
-            controller, robot, backend, space, axis, axis.nominal, episodes, seed, task
-        )
+        nominal = measured(axis.nominal)
     else:
         nominal = Point(backend, space, axis, axis.nominal, nominal.result, task=task)
     if nominal.result is None or nominal.result.rate == 0:
@@ -128,9 +130,7 @@ def sweep(
         progress(nominal)
     for direction in directions(axis, levels):
         for level in direction:
-            points.append(
-                _measure(controller, robot, backend, space, axis, level, episodes, seed, task)
-            )
+            points.append(measured(level))
             if progress:
                 progress(points[-1])
             result = points[-1].result
