@@ -12,7 +12,7 @@ from cdcsr.errors import CdcsrError, unknown_choice
 from training.config.seeds import EVALUATION_SEEDS
 
 PresetName = Literal["paper-reading", "tuned"]
-"""`paper-reading` fills the gaps of the BATD3 paper with our reading of it. The paper does not print
+"""`paper-reading` fills the gaps of the BATD3 paper with our reading. The paper does not print
 the numbers of updates and of environment steps, the updates for each step, the exploration noise,
 the action rate, the updates and rollouts of the clone, Anchor's place and size, the demonstrator,
 the servo, the slider or the cables' radius. `tuned` is what learns well here."""

@@ -78,7 +78,8 @@ def load_state(
     """
     try:
         with safe_open(path, framework="pt") as file:
-            tensors = {key: file.get_tensor(key) for key in file.keys()}  # noqa: SIM118 (not a dict)
+            names = list(file.keys())
+            tensors = {name: file.get_tensor(name) for name in names}
             meta = json.loads(file.metadata()[_META])
         for name, module in _modules(learner).items():
             module.load_state_dict(_below(tensors, f"{name}."))
@@ -103,8 +104,8 @@ def load_state(
     except (OSError, SafetensorError, KeyError, ValueError, RuntimeError, TypeError) as error:
         reason = str(error).split("\n")[0]
         raise CdcsrError(
-            f"The saved state {path} is damaged ({type(error).__name__}: {reason}); start anew with "
-            "--force."
+            f"The saved state {path} is damaged ({type(error).__name__}: {reason}); start anew "
+            "with --force."
         ) from None
     return meta["counters"]
 

@@ -16,8 +16,8 @@ def sweeps(runs: Sequence[Run], axis: str, engine: str, space: str) -> dict[str,
     """Return the sweeps of some seeds along one axis, by the names of their runs.
 
     If the evaluation lacks the nominal level, it comes from the nominal evaluation. A level at
-    which the simulation diverged has no rows and is no level of the sweep. An engine to which the axis
-    means nothing has no sweep.
+    which the simulation diverged has no rows and is no level of the sweep. An engine to which the
+    axis means nothing has no sweep.
 
     Args:
         runs: any.
