@@ -93,9 +93,7 @@ def aligned(runs: Sequence[Run]) -> tuple[Array, Array]:
     Returns:
         Updates, shape (P,), and success rates, shape (seeds with a curve, P); P is 0 if there is no curve.
     """
-    curves = [
-        {row["update"]: row["success_rate"] for row in run.curve} for run in runs if run.curve
-    ]
+    curves = [run.curve for run in runs if run.curve]
     updates = sorted(set[float]().union(*curves).intersection(*curves))
     return np.array(updates), np.array([[curve[x] for x in updates] for curve in curves])
 

@@ -1,22 +1,20 @@
-"""What the runs of the study left behind, read from their CSV and JSON files alone."""
+"""The finished runs of the study, as the tables and figures use them."""
 
 from __future__ import annotations
 
-import csv
 import json
-from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, fields, replace
 from pathlib import Path
-from typing import Any
+from typing import cast
 
 import numpy as np
 from numpy.typing import NDArray
 
 from cdcsr.errors import CdcsrError
-from cdcsr.files import read_json
 from training.algorithms.registry import algorithm_order
 from training.config.run_description import SCRIPTED, RunDescription
-from training.run.metrics import read_metrics
+from training.study.store import Columns, StoredRun, read_results
 
 Array = NDArray[np.float64]
 
@@ -82,14 +80,14 @@ class Episodes:
     length: Array
     """Simulation steps; a failed episode counts in full."""
 
-    def where(self, **wanted: Any) -> Episodes:
-        """Those whose columns equal the values given, ordered by episode."""
+    def where(self, **wanted: str | float) -> Episodes:
+        """Return the episodes whose columns equal the values given, ordered by episode."""
         chosen = np.ones(len(self.episode), dtype=bool)
         for name, value in wanted.items():
             chosen &= getattr(self, name) == value
         index = np.flatnonzero(chosen)
         index = index[np.argsort(self.episode[index], kind="stable")]
-        return Episodes(**{name: getattr(self, name)[index] for name in self.__dataclass_fields__})
+        return Episodes(**{one.name: getattr(self, one.name)[index] for one in fields(self)})
 
     def __len__(self) -> int:
         return len(self.episode)
@@ -110,36 +108,32 @@ class Run:
     versions: Mapping[str, str]
     fingerprint: str
     """Of the robot."""
-    curve: list[dict[str, float]]
-    """Rows of its metrics that hold a success rate; none for what does not learn by updates."""
+    curve: Mapping[float, float]
+    """Success on validation targets by updates; empty for what does not learn by updates."""
     evaluations: Mapping[str, Episodes]
-    """By the names of their files."""
-    follow: Mapping[str, NDArray[Any]] | None
-    """Columns of the target-following evaluation, shape (N,)."""
+    """Episodes by the names of the evaluations."""
+    follow: Columns | None
+    """Samples of target following, columns of shape (N,)."""
 
 
 def load_study(folder: Path) -> list[Run]:
-    """All finished runs of a study.
+    """Return all finished runs of a study, in the order of their names.
 
     Args:
-        folder: holds one folder for each run, with at least `run.json`.
+        folder: a store of results, or a working folder of the study.
 
     Raises:
-        CdcsrError: there is no such folder, or one of its files is not as it should be.
+        CdcsrError: there is no such folder, or one of its files is damaged.
     """
-    if not folder.is_dir():
-        raise CdcsrError(
-            f"There is no folder {folder}; give the one that holds the study's runs with --results."
-        )
-    return [_load_run(path.parent) for path in sorted(folder.glob("*/run.json"))]
+    return [_run_of(name, stored) for name, stored in read_results(folder).items()]
 
 
 def grouped(runs: Iterable[Run], *ignore: str) -> dict[RunDescription, list[Run]]:
-    """Runs by their settings, in the order of tables; the settings' fields in `ignore` are left out of account.
+    """Group runs by their settings, in the order of tables.
 
     Args:
         runs: any.
-        ignore: names of text fields of the settings; they are empty in the keys.
+        ignore: text fields of the settings that may differ in a group; empty in the keys.
     """
     groups: dict[RunDescription, list[Run]] = {}
     for run in runs:
@@ -148,116 +142,52 @@ def grouped(runs: Iterable[Run], *ignore: str) -> dict[RunDescription, list[Run]
 
 
 def at_home(runs: Sequence[Run], space: str) -> list[Run]:
-    """Those trained in a space; the demonstrator is at home in all."""
+    """Return the runs trained in a space; scripted controllers count in every space."""
     own = [run for run in runs if run.setting.space == space]
     return own or [run for run in runs if run.setting.algorithm == JACOBIAN][:1]
 
 
-def _load_run(folder: Path) -> Run:
-    path = folder / "run.json"
-    data = read_json(path)
+def _run_of(name: str, stored: StoredRun) -> Run:
+    data = stored.record
     try:
-        described = {name: value for name, value in data["spec"].items() if name != "budget"}
-        description = RunDescription.from_dict(described)
-        setting = replace(description, seed=0)
-        evaluations = {
-            file.stem: read_episodes(file)
-            for file in sorted(folder.glob("*.csv"))
-            if file.stem not in ("metrics", FOLLOW)
-        }
-        follow = folder / f"{FOLLOW}.csv"
+        spec = dict(cast(Mapping[str, object], data["spec"]))
+        budget = spec.pop("budget", None)
+        description = RunDescription.from_dict(spec)
+        versions = cast(Mapping[str, object], data["versions"])
         return Run(
-            name=folder.name,
-            setting=setting,
+            name=name,
+            setting=replace(description, seed=0),
             seed=description.seed,
-            budget=data["spec"].get("budget"),
-            minutes=float(data["minutes"] or 0),
-            updates=int(data["updates"] or 0),
-            environment_steps=int(data["environment_steps"] or 0),
-            versions={str(k): str(v) for k, v in data["versions"].items()},
+            budget=None if budget is None else str(budget),
+            minutes=float(cast(float, data["minutes"])),
+            updates=int(cast(int, data["updates"])),
+            environment_steps=int(cast(int, data["environment_steps"])),
+            versions={name: str(version) for name, version in versions.items()},
             fingerprint=str(data["fingerprint"]),
-            curve=[row for row in read_metrics(folder / "metrics.csv") if "success_rate" in row],
-            evaluations=evaluations,
-            follow=read_follow(follow) if follow.is_file() else None,
+            curve=_curve(stored.metrics),
+            evaluations={one: _episodes(table) for one, table in stored.evaluations.items()},
+            follow=stored.follow,
         )
     except KeyError as error:
-        raise CdcsrError(
-            f"{path} has no field {error}; remove the folder, or run it again."
-        ) from None
+        raise CdcsrError(f"{stored.source}: run {name} has no field {error}; run it again.") from None
     except (TypeError, ValueError, AttributeError) as error:
-        raise CdcsrError(
-            f"{path} is not as a run leaves it ({error}); remove the folder, or run it again."
-        ) from None
+        raise CdcsrError(f"{stored.source}: run {name} is damaged ({error}); run it again.") from None
 
 
-def read_episodes(path: Path) -> Episodes:
-    """The episodes in a CSV file of an evaluation.
+def _curve(metrics: Columns) -> dict[float, float]:
+    if not {"update", "success_rate"} <= metrics.keys():
+        return {}
+    updates, rates = (metrics[name].astype(float) for name in ("update", "success_rate"))
+    return {x: y for x, y in zip(updates.tolist(), rates.tolist(), strict=True) if y == y}
 
-    Raises:
-        CdcsrError: a column is missing, a cell is not what it should be, or episodes are missing.
-    """
-    columns = _read_columns(
-        path,
-        {
-            "backend": str,
-            "space": str,
-            "axis": str,
-            "level": float,
-            "episode": int,
-            "success": float,
-            "length": float,
-        },
+
+def _episodes(columns: Columns) -> Episodes:
+    return Episodes(
+        backend=columns["backend"].astype(np.str_),
+        space=columns["space"].astype(np.str_),
+        axis=columns["axis"].astype(np.str_),
+        level=columns["level"].astype(float),
+        episode=columns["episode"].astype(np.int64),
+        success=columns["success"] == 1,
+        length=columns["length"].astype(float),
     )
-    if not np.isin(columns["success"], (0, 1)).all() or not (columns["length"] >= 0).all():
-        raise CdcsrError(
-            f"{path} has a success that is not 0 or 1, or a length that is none; make it again."
-        )
-    places = zip(
-        *(columns[name].tolist() for name in ("backend", "space", "axis", "level")), strict=True
-    )
-    cells: dict[tuple[Any, ...], list[int]] = {}
-    for cell, episode in zip(places, columns["episode"].tolist(), strict=True):
-        cells.setdefault(cell, []).append(episode)
-    most = max(map(len, cells.values()), default=0)
-    for cell, episodes in cells.items():
-        if sorted(episodes) != list(range(most)):
-            raise CdcsrError(
-                f"{path} should have episodes 0 to {most - 1} of {', '.join(map(str, cell))}; make it again."
-            )
-    return Episodes(**{**columns, "success": columns["success"] == 1})
-
-
-def read_follow(path: Path) -> Mapping[str, NDArray[Any]]:
-    """Columns of the evaluation of target following.
-
-    Raises:
-        CdcsrError: a column is missing, or a cell is no number.
-    """
-    kinds: dict[str, Callable[[str], Any]] = {"backend": str, "motion": str, "step": int}
-    errors = ("tip_error", "base_position_error", "base_attitude_error")
-    return _read_columns(path, {**kinds, **dict.fromkeys(errors, float)})
-
-
-def _read_columns(path: Path, kinds: Mapping[str, Callable[[str], Any]]) -> dict[str, NDArray[Any]]:
-    try:
-        with path.open(newline="", encoding="utf-8") as file:
-            head, *rows = list(csv.reader(file)) or [[]]
-    except (OSError, UnicodeDecodeError, csv.Error) as error:
-        raise CdcsrError(f"{path} is no CSV file ({error}); make it again.") from None
-    missing = [name for name in kinds if name not in head]
-    if missing:
-        raise CdcsrError(
-            f"{path} has no column {', '.join(missing)} (found: {', '.join(head) or 'nothing'}); make it again."
-        )
-    try:
-        return {
-            name: np.array(
-                [kind(row[head.index(name)]) for row in rows],
-                dtype=np.str_ if kind is str else None,
-            )
-            for name, kind in kinds.items()
-        }
-    except (ValueError, IndexError) as error:
-        raise CdcsrError(
-            f"{path} has a row that does not fit its columns ({error}); make it again."
-        ) from None

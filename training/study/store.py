@@ -1,0 +1,338 @@
+"""Read and write the results of the study.
+
+Finished work is stored in one folder: a record of each run as a line of `runs.jsonl`, and four
+Parquet files: `episodes` (a row an episode of an evaluation), `metrics` (a row a point of a
+learning curve), `following` (a row a sample of target following) and `searches` (a row a target of
+`cdcsr search`, whose options are in `searches.jsonl`). Work in progress is a folder for each run,
+with `run.json`, `metrics.csv` and a CSV file for each evaluation; :func:`pack` moves it over.
+"""
+
+from __future__ import annotations
+
+import csv
+import json
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cdcsr.errors import CdcsrError
+from cdcsr.files import read_json, write_bytes, write_text
+
+if TYPE_CHECKING:
+    import pyarrow as pa
+
+Columns = dict[str, NDArray[np.generic]]
+"""A table: columns of equal length by their names."""
+Convert = Callable[[str], object]
+
+RECORDS, RECORD = "runs.jsonl", "run.json"
+METRICS, FOLLOW = "metrics", "follow"
+EPISODE_KINDS: dict[str, Convert] = {
+    "backend": str,
+    "space": str,
+    "axis": str,
+    "level": float,
+    "episode": int,
+    "success": float,
+    "length": float,
+    "distance": float,
+}
+FOLLOW_KINDS: dict[str, Convert] = {
+    "backend": str,
+    "motion": str,
+    "episode": int,
+    "step": int,
+    "tip_error": float,
+    "base_position_error": float,
+    "base_attitude_error": float,
+}
+_DECIMALS = 5
+"""Distances, in [m], and angles, in [rad], are rounded to this many decimals."""
+_ROUNDED = ("distance", "tip_error", "base_position_error", "base_attitude_error")
+
+
+@dataclass
+class StoredRun:
+    """The results of one run."""
+
+    record: dict[str, object]
+    metrics: Columns = field(default_factory=dict)
+    """Points of the learning curve; an empty cell is NaN. Empty for what learns no updates."""
+    evaluations: dict[str, Columns] = field(default_factory=dict)
+    """Episodes of each evaluation, with the columns :data:`EPISODE_KINDS`."""
+    follow: Columns | None = None
+    """Samples of target following, with the columns :data:`FOLLOW_KINDS`."""
+    source: str = ""
+    """The file or folder it was read from, for messages."""
+
+    def episodes(self, evaluation: str) -> int:
+        """Return how many episodes each cell of an evaluation has; 0 if there is no such one."""
+        columns = self.follow if evaluation == FOLLOW else self.evaluations.get(evaluation)
+        return int(columns["episode"].max()) + 1 if columns and len(columns["episode"]) else 0
+
+
+def read_results(folder: Path) -> dict[str, StoredRun]:
+    """Return all finished runs by name, from a store or from a folder of work in progress.
+
+    Raises:
+        CdcsrError: there is no such folder, or a file in it is damaged.
+    """
+    if not folder.is_dir():
+        raise CdcsrError(
+            f"There is no folder {folder}; give the one that holds the study's runs with --results."
+        )
+    if (folder / RECORDS).is_file():
+        return _read_store(folder)
+    return {path.parent.name: _read_run(path.parent) for path in sorted(folder.glob("*/run.json"))}
+
+
+def pack(work: Path, store: Path) -> int:
+    """Move the finished runs of a working folder into a store; return how many there were.
+
+    Evaluations of a policy that the store knows are added to those it has. Results of another
+    policy replace all that the store has of the run. The working folder is left as it is.
+
+    Raises:
+        CdcsrError: a folder is missing, or a file is damaged or cannot be written.
+    """
+    new = read_results(work)
+    runs = read_results(store) if (store / RECORDS).is_file() else {}
+    for name, run in new.items():
+        old = runs.get(name)
+        if old is not None and old.record.get("policy") == run.record.get("policy"):
+            run.evaluations = {**old.evaluations, **run.evaluations}
+            run.follow = old.follow if run.follow is None else run.follow
+        runs[name] = run
+    write_store(store, runs)
+    return len(new)
+
+
+def write_store(folder: Path, runs: Mapping[str, StoredRun]) -> None:
+    """Write runs as a store, in the order of their names.
+
+    Raises:
+        CdcsrError: a file cannot be written.
+    """
+    names = sorted(runs)
+    episodes = [
+        {"run": [name] * len(columns["episode"]), "evaluation": [one] * len(columns["episode"])}
+        | columns
+        for name in names
+        for one, columns in sorted(runs[name].evaluations.items())
+    ]
+    for file, parts in (
+        ("episodes", episodes),
+        (METRICS, [_of(name, runs[name].metrics) for name in names if runs[name].metrics]),
+        (
+            "following",
+            [_of(name, follow) for name in names if (follow := runs[name].follow) is not None],
+        ),
+    ):
+        write_table(folder / f"{file}.parquet", parts)
+    lines = [json.dumps({"name": name, **runs[name].record}) for name in names]
+    write_text(folder / RECORDS, "\n".join(lines) + "\n")  # last: it makes the folder a store
+
+
+def _of(name: str, columns: Columns) -> Mapping[str, Sequence[object] | NDArray[np.generic]]:
+    return {"run": [name] * len(next(iter(columns.values()))), **columns}
+
+
+def write_table(
+    path: Path, parts: Iterable[Mapping[str, Sequence[object] | NDArray[np.generic]]]
+) -> None:
+    """Write the rows of several tables with the same columns as one Parquet file.
+
+    Texts and levels get dictionaries, numbers the smallest fitting types.
+
+    Raises:
+        CdcsrError: the file cannot be written.
+    """
+    import pyarrow as pa
+
+    parts = list(parts)
+    if not parts:
+        path.unlink(missing_ok=True)
+        return
+    columns = {name: np.concatenate([part[name] for part in parts]) for name in parts[-1]}
+    arrays = {name: _small(name, values) for name, values in columns.items()}
+    sink = pa.BufferOutputStream()
+    parquet = _parquet()
+    parquet.write_table(pa.table(arrays), sink, compression="zstd", compression_level=19)
+    write_bytes(path, sink.getvalue().to_pybytes())
+
+
+def _small(name: str, values: NDArray[np.generic]) -> pa.Array:
+    """Return a column in the smallest type that holds its values as they are to be kept."""
+    import pyarrow as pa
+
+    if values.dtype.kind == "U":
+        return pa.array(values.tolist()).dictionary_encode()
+    if values.dtype.kind == "f" and np.isnan(values).any():
+        return pa.array(values, from_pandas=True)
+    if name == "success":
+        return pa.array(values.astype(bool))
+    if name in _ROUNDED:
+        return pa.array(values.astype(np.float32))
+    whole = values.astype(np.int64)
+    if (whole == values).all():
+        return pa.array(whole.astype(np.min_scalar_type(int(whole.max(initial=0)))))
+    return pa.array(values)
+
+
+def read_table(path: Path, wanted: Iterable[str] = ()) -> Columns:
+    """Return the columns of a Parquet file; no file, no columns.
+
+    Raises:
+        CdcsrError: the file is damaged, or lacks a column that is wanted.
+    """
+    if not path.is_file():
+        return {}
+    parquet = _parquet()
+    import pyarrow as pa
+
+    try:
+        table = parquet.read_table(path)
+        columns = {name: _plain(name, table[name].combine_chunks()) for name in table.column_names}
+    except (OSError, pa.ArrowException) as error:
+        line = next(iter(str(error).splitlines()), type(error).__name__)
+        raise CdcsrError(f"{path} is damaged ({line}); restore it from git.") from None
+    if missing := [name for name in wanted if name not in columns]:
+        raise CdcsrError(f"{path} has no column {', '.join(missing)}; restore it from git.")
+    return columns
+
+
+def _plain(name: str, array: pa.Array) -> NDArray[np.generic]:
+    import pyarrow as pa
+
+    if isinstance(array, pa.DictionaryArray):
+        words = np.array(array.dictionary.to_pylist(), dtype=np.str_)
+        return words[array.indices.to_numpy(zero_copy_only=False)]
+    values = array.to_numpy(zero_copy_only=False)
+    return np.round(values.astype(float), _DECIMALS) if name in _ROUNDED else values
+
+
+def _read_store(folder: Path) -> dict[str, StoredRun]:
+    path = folder / RECORDS
+    runs: dict[str, StoredRun] = {}
+    try:
+        for line in path.read_text("utf-8").splitlines():
+            record = json.loads(line)
+            runs[record.pop("name")] = StoredRun(record, source=str(path))
+    except (OSError, ValueError, KeyError, AttributeError, TypeError) as error:
+        raise CdcsrError(f"{path} is damaged ({error}); restore it from git.") from None
+    wanted = ("run", "evaluation", *EPISODE_KINDS)
+    for key, part in _split(folder / "episodes.parquet", wanted):
+        _of_run(runs, key[0], folder).evaluations[key[1]] = part
+    for key, part in _split(folder / "metrics.parquet", ("run", "update")):
+        _of_run(runs, key[0], folder).metrics = part
+    for key, part in _split(folder / "following.parquet", ("run", *FOLLOW_KINDS)):
+        _of_run(runs, key[0], folder).follow = part
+    return runs
+
+
+def _of_run(runs: Mapping[str, StoredRun], name: str, folder: Path) -> StoredRun:
+    if name not in runs:
+        raise CdcsrError(f"{folder / RECORDS} lacks the run {name}; restore it from git.")
+    return runs[name]
+
+
+def _split(path: Path, wanted: Sequence[str]) -> Iterable[tuple[tuple[str, ...], Columns]]:
+    """Yield the rows of each run, and of each evaluation if there are several, with their names."""
+    columns = read_table(path, wanted)
+    keys = [columns.pop(name) for name in ("run", "evaluation") if name in columns]
+    if not keys or not len(keys[0]):
+        return
+    changed = np.any([key[1:] != key[:-1] for key in keys], axis=0)
+    bounds = [0, *(np.flatnonzero(changed) + 1).tolist(), len(keys[0])]
+    for start, stop in zip(bounds, bounds[1:], strict=False):
+        names = tuple(str(key[start]) for key in keys)
+        yield names, {name: values[start:stop] for name, values in columns.items()}
+
+
+def _read_run(folder: Path) -> StoredRun:
+    """Return a run from its working folder."""
+    run = StoredRun(read_json(folder / RECORD), source=str(folder / RECORD))
+    for path in sorted(folder.glob("*.csv")):
+        if path.stem == METRICS:
+            run.metrics = read_csv(path, {}, others=float)
+        elif path.stem == FOLLOW:
+            run.follow = read_csv(path, FOLLOW_KINDS)
+        else:
+            run.evaluations[path.stem] = read_episodes(path)
+    return run
+
+
+def read_episodes(path: Path) -> Columns:
+    """Return the episodes in a CSV file of an evaluation, with the columns :data:`EPISODE_KINDS`.
+
+    Raises:
+        CdcsrError: a column is missing, a cell is not what it should be, or episodes are missing.
+    """
+    columns = read_csv(path, EPISODE_KINDS)
+    if not np.isin(columns["success"], (0, 1)).all() or not (columns["length"] >= 0).all():
+        raise CdcsrError(
+            f"{path} has a success that is not 0 or 1, or a length that is none; delete it and "
+            "make it again."
+        )
+    cells: dict[tuple[object, ...], list[int]] = {}
+    names = ("backend", "space", "axis", "level", "episode")
+    for *cell, episode in zip(*(columns[name].tolist() for name in names), strict=True):
+        cells.setdefault(tuple(cell), []).append(episode)
+    most = max(map(len, cells.values()), default=0)
+    for cell, episodes in cells.items():
+        if sorted(episodes) != list(range(most)):
+            raise CdcsrError(
+                f"{path} should have episodes 0 to {most - 1} of {', '.join(map(str, cell))}; "
+                "delete it and make it again."
+            )
+    return columns
+
+
+def read_csv(path: Path, kinds: Mapping[str, Convert], others: Convert | None = None) -> Columns:
+    """Return the columns of a CSV file.
+
+    Args:
+        path: the file.
+        kinds: how the cells of each wanted column are converted.
+        others: how those of all other columns are; None leaves them out.
+
+    Raises:
+        CdcsrError: a column is missing, or a cell cannot be converted.
+    """
+    try:
+        with path.open(newline="", encoding="utf-8") as file:
+            head, *rows = list(csv.reader(file)) or [[]]
+    except (OSError, UnicodeDecodeError, csv.Error) as error:
+        raise CdcsrError(f"{path} is no CSV file ({error}); delete it and make it again.") from None
+    if missing := [name for name in kinds if name not in head]:
+        raise CdcsrError(
+            f"{path} has no column {', '.join(missing)} (found: {', '.join(head) or 'nothing'}); "
+            "delete it and make it again."
+        )
+    all_kinds = {**({} if others is None else dict.fromkeys(head, others)), **kinds}
+    try:
+        return {
+            name: np.array(
+                [kind(row[head.index(name)] or "nan") for row in rows],
+                dtype=np.str_ if kind is str else None,
+            )
+            for name, kind in all_kinds.items()
+        }
+    except (ValueError, IndexError) as error:
+        raise CdcsrError(
+            f"{path} has a row that does not fit its columns ({error}); delete it and make it again."
+        ) from None
+
+
+def _parquet():  # noqa: ANN202
+    try:
+        import pyarrow.parquet as parquet
+    except ModuleNotFoundError:
+        raise CdcsrError(
+            "pyarrow is not installed; install it with pip install 'cdcsr[study]'."
+        ) from None
+    return parquet
