@@ -1,15 +1,22 @@
-"""`python -m training.experiments`: the paper's tables and figures, and what goes beyond, as one resumable study."""
+"""`python -m training.experiments`: the study, as experiments that can be stopped and resumed."""
 
 from __future__ import annotations
 
 import os
 import sys
 from collections.abc import Sequence
+from dataclasses import replace
 from fnmatch import fnmatch
 from pathlib import Path
-from typing import Any, Literal
+from typing import TYPE_CHECKING, Literal
 
 from cdcsr.cli import run
+
+if TYPE_CHECKING:
+    from training.study.declare.budgets import Budget
+    from training.study.execute.jobs import Job
+    from training.study.execute.local import Outcome
+    from training.study.store import StoredRun
 
 
 def experiments(
@@ -18,87 +25,68 @@ def experiments(
     *,
     budget: Literal["quick", "standard", "paper"] = "standard",
     jobs: int | None = None,
-    resume: bool = False,
     executor: Literal["local", "ray"] = "local",
     address: str | None = None,
     runs: Path = Path("runs/study"),
-    results: Path = Path("results/study"),
+    results: Path = Path("runs/results"),
+    store: Path = Path("results"),
     only: str = "*",
     list: bool = False,
+    pack: bool = False,
     json: Path | None = None,
 ) -> None:
-    """Carry out experiments: grids of training runs and their evaluations, each run in a process of its own.
+    """Run experiments: grids of training runs and their evaluations, each run in its own process.
 
-    What is finished is skipped, and a run that several experiments need is trained once. Stopped in any way, the
-    same command with --resume goes on; a run loses at most what came after its last point of the learning curve.
+    Finished runs are skipped, and a run that several experiments need is trained once. However the
+    command is stopped, the same command resumes the work; a run loses at most the work since the
+    last point of its learning curve.
 
     Args:
         names: experiments, or "all"; --list shows them.
-        budget: quick is a smoke test, paper the lengths and seeds of the paper.
+        budget: quick is a smoke test; paper has the lengths and seeds of the paper.
         jobs: runs side by side on this machine; by default as many as it has processors.
-        resume: go on with runs that were begun and not finished.
         executor: ray spreads the runs over a Ray cluster whose nodes share the folders.
-        address: of that cluster; by default a new one on this machine.
+        address: address of that cluster; by default a new one is started on this machine.
         runs: folder of the training runs, with their logs and weights.
-        results: folder of the results.
-        only: do only runs whose name fits this pattern, as in "batd3-*_s0".
+        results: working folder of the results, a few small files a run.
+        store: folder of the packed results; runs that are finished there are not made again.
+        only: do only the runs whose names fit this pattern, such as "batd3-*_s0".
         list: show what would be done, and do nothing.
-        json: also write what became of each run to this file.
+        pack: move the finished runs of the working folder into the store, and do nothing else.
+        json: also write to this file what became of each run.
     """
-    from cdcsr.errors import CdcsrError, CheckFailed, unknown_choice
+    from cdcsr.errors import CdcsrError, CheckFailed
     from cdcsr.files import write_json
+    from training.study import store as results_store
     from training.study.declare.budgets import BUDGETS
-    from training.study.declare.grid import EXPERIMENTS, collect
-    from training.study.execute.jobs import Job
 
-    if not names and not list:
-        raise CdcsrError(f"No experiment is given; name some of: {', '.join(EXPERIMENTS)}; or all.")
-    if address is not None and executor != "ray":
-        raise CdcsrError("--address is that of a Ray cluster; give --executor ray with it.")
-    for name in names:
-        if name not in (*EXPERIMENTS, "all"):
-            raise CdcsrError(unknown_choice("experiment", name, (*EXPERIMENTS, "all")))
-    chosen = [*EXPERIMENTS] if not names or "all" in names else names
-    if jobs is not None and executor == "ray":
-        raise CdcsrError(
-            "--jobs is for this machine; a Ray cluster has as many runs side by side as processors."
-        )
+    if pack:
+        print(f"{results_store.pack(results, store)} runs packed from {results} into {store}")
+        return
+    _refuse(names, list, executor, address, jobs)
+    chosen = _chosen(names)
     amounts = BUDGETS[budget]
-    wanted = [
-        Job(spec, evaluations, amounts)
-        for name, (spec, evaluations) in collect(chosen, amounts).items()
-        if fnmatch(name, only)
-    ]
+    stored = results_store.read_results(store) if (store / results_store.RECORDS).is_file() else {}
+    wanted = _jobs(chosen, amounts, only)
     if list:
-        _show(chosen, wanted, amounts, results, named=bool(names))
+        _show(chosen, wanted, amounts, results, stored, named=bool(names))
         return
     if not wanted:
         raise CdcsrError(
             f"No run of {', '.join(chosen)} fits the pattern {only!r}; --list shows their names."
         )
-    if not resume and (begun := [job.name for job in wanted if job.is_begun(runs)]):
-        raise CdcsrError(
-            f"{len(begun)} runs in {runs} were begun and not finished, the first is {begun[0]}; "
-            "give --resume to go on with them, or delete their folders."
-        )
-    for job in wanted:
-        if changed := job.changed(results):
-            raise CdcsrError(
-                f"{results / job.name} was made with other numbers of the learner ({'; '.join(changed)}); "
-                f"delete it and {runs / job.name} to have it made again, or give other folders (--results, --runs)."
-            )
-    if executor == "ray":
-        from training.study.execute.ray_executor import carry_out_on_ray
-
-        outcome = carry_out_on_ray(wanted, runs, results, address)
-    else:
-        from training.study.execute.local import carry_out_here
-
-        outcome = carry_out_here(
-            wanted, runs, results, (os.cpu_count() or 1) if jobs is None else jobs
-        )
+    _refuse_other_learners(wanted, results, runs, store, stored)
+    left = [
+        replace(job, evaluations=lacking)
+        for job in wanted
+        if (lacking := _lacking(job, stored)) or job.name not in stored
+    ]
+    outcome = _carry_out(left, runs, results, jobs, executor, address)
+    names_left = {job.name for job in left}
+    outcome.skipped[:0] = [job.name for job in wanted if job.name not in names_left]
     print(
-        f"{len(outcome.finished)} runs finished, {len(outcome.skipped)} done before, {len(outcome.failed)} failed"
+        f"{len(outcome.finished)} runs finished, {len(outcome.skipped)} done before, "
+        f"{len(outcome.failed)} failed"
     )
     if json is not None:
         write_json(json, {"experiments": chosen, "budget": budget, **vars(outcome)})
@@ -109,25 +97,122 @@ def experiments(
         )
 
 
-def _show(
-    chosen: Sequence[str], wanted: list[Any], budget: Any, results: Path, named: bool
+def _refuse(
+    names: Sequence[str], listed: bool, executor: str, address: str | None, jobs: int | None
 ) -> None:
-    """Print the experiments, or the runs of those that were named."""
+    from cdcsr.errors import CdcsrError, unknown_choice
+    from training.study.declare.grid import EXPERIMENTS
+
+    if not names and not listed:
+        raise CdcsrError(f"No experiment is given; name some of: {', '.join(EXPERIMENTS)}; or all.")
+    for name in names:
+        if name not in (*EXPERIMENTS, "all"):
+            raise CdcsrError(unknown_choice("experiment", name, (*EXPERIMENTS, "all")))
+    if address is not None and executor != "ray":
+        raise CdcsrError("--address names a Ray cluster; give --executor ray with it.")
+    if jobs is not None and executor == "ray":
+        raise CdcsrError(
+            "--jobs is for this machine; a Ray cluster has as many runs side by side as processors."
+        )
+
+
+def _chosen(names: Sequence[str]) -> Sequence[str]:
+    from training.study.declare.grid import EXPERIMENTS
+
+    return tuple(EXPERIMENTS) if not names or "all" in names else names
+
+
+def _jobs(chosen: Sequence[str], budget: Budget, only: str) -> list[Job]:
+    from training.study.declare.grid import collect
+    from training.study.execute.jobs import Job
+
+    return [
+        Job(spec, evaluations, budget)
+        for name, (spec, evaluations) in collect(chosen, budget).items()
+        if fnmatch(name, only)
+    ]
+
+
+def _refuse_other_learners(
+    wanted: Sequence[Job],
+    results: Path,
+    runs: Path,
+    store: Path,
+    stored: dict[str, StoredRun],
+) -> None:
+    """Check that what is there was made with the same numbers of the learner."""
+    from cdcsr.errors import CdcsrError
+
+    for job in wanted:
+        if changed := job.changed(results):
+            raise CdcsrError(
+                f"{results / job.name} was made with other numbers of the learner "
+                f"({'; '.join(changed)}); delete it and {runs / job.name} to make it again, or "
+                "give other folders (--results, --runs)."
+            )
+        known = stored.get(job.name)
+        if known is not None and (changed := job.differences(known.record)):
+            raise CdcsrError(
+                f"{store} has {job.name} with other numbers of the learner ({'; '.join(changed)}); "
+                "give another --store."
+            )
+
+
+def _lacking(job: Job, stored: dict[str, StoredRun]) -> tuple[str, ...]:
+    """Return the evaluations of a job that the store lacks."""
+    from training.study.execute.evaluations import EVALUATIONS
+
+    known = stored.get(job.name)
+    return tuple(
+        name
+        for name in job.evaluations
+        if known is None or known.episodes(name) < EVALUATIONS[name].episodes(job.budget.episodes)
+    )
+
+
+def _carry_out(
+    wanted: Sequence[Job],
+    runs: Path,
+    results: Path,
+    jobs: int | None,
+    executor: str,
+    address: str | None,
+) -> Outcome:
+    from training.study.execute.local import carry_out_here
+    from training.study.execute.ray_executor import carry_out_on_ray
+
+    if executor == "ray":
+        return carry_out_on_ray(wanted, runs, results, address)
+    return carry_out_here(wanted, runs, results, (os.cpu_count() or 1) if jobs is None else jobs)
+
+
+def _show(
+    chosen: Sequence[str],
+    wanted: Sequence[Job],
+    budget: Budget,
+    results: Path,
+    stored: dict[str, StoredRun],
+    named: bool,
+) -> None:
+    """Print the experiments, and the runs of those that were named."""
     from training.study.declare.grid import EXPERIMENTS, collect
     from training.study.execute.jobs import Job
+
+    def is_done(job: Job) -> bool:
+        return (job.name in stored and not _lacking(job, stored)) or job.is_done(results)
 
     for name in chosen:
         cells = collect([name], budget)
         own = [Job(*cells[job.name], budget) for job in wanted if job.name in cells]
-        done = sum(job.is_done(results) for job in own)
+        done = sum(map(is_done, own))
         print(f"{name:<13} {EXPERIMENTS[name].summary} ({done} of {len(own)} runs done)")
     if named:
         for job in wanted:
-            print(f"  {'done' if job.is_done(results) else '-':<5} {job.name}")
+            print(f"  {'done' if is_done(job) else '-':<5} {job.name}")
 
 
 def main() -> int:
-    """Carry out experiments from the command line."""
+    """Run experiments from the command line."""
     return run(experiments, "training.experiments", sys.argv[1:])
 
 

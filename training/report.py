@@ -14,7 +14,7 @@ PAGE = "README.md"
 
 def report(
     *,
-    results: Path = Path("results/study"),
+    results: Path = Path("results"),
     out: Path = Path("build/report"),
     docs: Path | None = None,
     json: Path | None = None,
@@ -22,7 +22,7 @@ def report(
     """Build every table and figure of the study from its results; nothing is simulated.
 
     Args:
-        results: the study's results.
+        results: the store of results, or a working folder of the study.
         out: the folder of the report; an older report there is replaced.
         docs: instead, fill the numbers of this template, a file that ends in .md.in, and write the
             page beside it.
@@ -45,7 +45,7 @@ def report(
             f"{results} holds no finished run; make some with `python -m training.experiments`."
         )
     check_axes(runs)
-    paper, tables, wanted = paper_tables(runs), other_tables(runs), expected_runs(runs)
+    paper, tables, wanted = paper_tables(runs), other_tables(runs, results), expected_runs(runs)
     if docs is not None:
         if not docs.name.endswith(".md.in") or not docs.is_file():
             raise CdcsrError(f"{docs} is no template; give a file that ends in .md.in.")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+from functools import cache
 from importlib.metadata import entry_points
 
 from cdcsr.errors import CdcsrError, unknown_choice
@@ -29,6 +30,7 @@ def load_backend(name: str) -> type[Simulation]:
     raise CdcsrError(unknown_choice("backend", name, backend_names()))
 
 
+@cache
 def engine_title(name: str) -> str:
     """Return an engine's title, or the name itself if no such engine is installed."""
     return load_backend(name).title if name in backend_names() else name

@@ -1,10 +1,11 @@
 """Read and write the results of the study.
 
-Finished work is stored in one folder: a record of each run as a line of `runs.jsonl`, and four
+Finished work is stored in one folder: a record of each run as a line of `runs.jsonl`, and five
 Parquet files: `episodes` (a row an episode of an evaluation), `metrics` (a row a point of a
-learning curve), `following` (a row a sample of target following) and `searches` (a row a target of
-`cdcsr search`, whose options are in `searches.jsonl`). Work in progress is a folder for each run,
-with `run.json`, `metrics.csv` and a CSV file for each evaluation; :func:`pack` moves it over.
+learning curve), `following` (a row a sample of target following), `searches` (a row a target of
+`cdcsr search`, whose options are in `searches.jsonl`) and `sweeps` (a row an episode of `cdcsr
+sweep --csv`). Work in progress is a folder for each run, with `run.json`, `metrics.csv` and a CSV
+file for each evaluation; :func:`pack` moves it over.
 """
 
 from __future__ import annotations
@@ -13,7 +14,9 @@ import csv
 import json
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
+from itertools import pairwise
 from pathlib import Path
+from types import ModuleType
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -94,7 +97,9 @@ def pack(work: Path, store: Path) -> int:
     """Move the finished runs of a working folder into a store; return how many there were.
 
     Evaluations of a policy that the store knows are added to those it has. Results of another
-    policy replace all that the store has of the run. The working folder is left as it is.
+    policy replace all that the store has of the run. Folders of `cdcsr search` and CSV files of
+    `cdcsr sweep` in the working folder are packed by their names. The working folder stays as it
+    is.
 
     Raises:
         CdcsrError: a folder is missing, or a file is damaged or cannot be written.
@@ -108,7 +113,38 @@ def pack(work: Path, store: Path) -> int:
             run.follow = old.follow if run.follow is None else run.follow
         runs[name] = run
     write_store(store, runs)
+    _pack_searches(work, store)
+    _pack_named(store / "sweeps.parquet", {path.stem: path for path in work.glob("*.csv")})
     return len(new)
+
+
+def _pack_searches(work: Path, store: Path) -> None:
+    found = {path.parent.name: path for path in work.glob("*/search.json")}
+    path = store / "searches.jsonl"
+    options = {record["name"]: record for record in read_lines(path)} if path.is_file() else {}
+    options |= {name: {"name": name, **read_json(one)} for name, one in found.items()}
+    if options:
+        write_text(path, "".join(json.dumps(options[name]) + "\n" for name in sorted(options)))
+    tables = {name: one.with_name("targets.csv") for name, one in found.items()}
+    _pack_named(store / "searches.parquet", tables)
+
+
+def _pack_named(path: Path, files: Mapping[str, Path]) -> None:
+    """Add CSV files to a Parquet file whose column `name` has their names."""
+    known = read_table(path)
+    names = known.pop("name", np.array([], dtype=np.str_))
+    parts = {
+        str(name): {key: values[names == name] for key, values in known.items()}
+        for name in np.unique(names)
+    }
+    texts: dict[str, Convert] = {"backend": str, "space": str, "axis": str}
+    for name, file in files.items():
+        table = read_csv(file, {}, others=float, texts=texts)
+        parts[name] = {
+            key: np.round(values.astype(float), _DECIMALS) if values.dtype.kind == "f" else values
+            for key, values in table.items()
+        }
+    write_table(path, [_of(name, parts[name], "name") for name in sorted(parts)])
 
 
 def write_store(folder: Path, runs: Mapping[str, StoredRun]) -> None:
@@ -137,8 +173,10 @@ def write_store(folder: Path, runs: Mapping[str, StoredRun]) -> None:
     write_text(folder / RECORDS, "\n".join(lines) + "\n")  # last: it makes the folder a store
 
 
-def _of(name: str, columns: Columns) -> Mapping[str, Sequence[object] | NDArray[np.generic]]:
-    return {"run": [name] * len(next(iter(columns.values()))), **columns}
+def _of(
+    name: str, columns: Columns, key: str = "run"
+) -> Mapping[str, Sequence[object] | NDArray[np.generic]]:
+    return {key: [name] * len(next(iter(columns.values()))), **columns}
 
 
 def write_table(
@@ -157,7 +195,9 @@ def write_table(
     if not parts:
         path.unlink(missing_ok=True)
         return
-    columns = {name: np.concatenate([part[name] for part in parts]) for name in parts[-1]}
+    columns = {
+        name: np.concatenate([np.asarray(part[name]) for part in parts]) for name in parts[-1]
+    }
     arrays = {name: _small(name, values) for name, values in columns.items()}
     sink = pa.BufferOutputStream()
     parquet = _parquet()
@@ -217,13 +257,9 @@ def _plain(name: str, array: pa.Array) -> NDArray[np.generic]:
 
 def _read_store(folder: Path) -> dict[str, StoredRun]:
     path = folder / RECORDS
-    runs: dict[str, StoredRun] = {}
-    try:
-        for line in path.read_text("utf-8").splitlines():
-            record = json.loads(line)
-            runs[record.pop("name")] = StoredRun(record, source=str(path))
-    except (OSError, ValueError, KeyError, AttributeError, TypeError) as error:
-        raise CdcsrError(f"{path} is damaged ({error}); restore it from git.") from None
+    runs = {
+        str(record.pop("name")): StoredRun(record, source=str(path)) for record in read_lines(path)
+    }
     wanted = ("run", "evaluation", *EPISODE_KINDS)
     for key, part in _split(folder / "episodes.parquet", wanted):
         _of_run(runs, key[0], folder).evaluations[key[1]] = part
@@ -232,6 +268,21 @@ def _read_store(folder: Path) -> dict[str, StoredRun]:
     for key, part in _split(folder / "following.parquet", ("run", *FOLLOW_KINDS)):
         _of_run(runs, key[0], folder).follow = part
     return runs
+
+
+def read_lines(path: Path) -> list[dict[str, object]]:
+    """Return the JSON objects with a name in the lines of a file.
+
+    Raises:
+        CdcsrError: the file is damaged.
+    """
+    try:
+        records = [json.loads(line) for line in path.read_text("utf-8").splitlines()]
+    except (OSError, ValueError) as error:
+        raise CdcsrError(f"{path} is damaged ({error}); restore it from git.") from None
+    if not all(isinstance(record, dict) and "name" in record for record in records):
+        raise CdcsrError(f"{path} is damaged (a line has no name); restore it from git.")
+    return records
 
 
 def _of_run(runs: Mapping[str, StoredRun], name: str, folder: Path) -> StoredRun:
@@ -248,7 +299,7 @@ def _split(path: Path, wanted: Sequence[str]) -> Iterable[tuple[tuple[str, ...],
         return
     changed = np.any([key[1:] != key[:-1] for key in keys], axis=0)
     bounds = [0, *(np.flatnonzero(changed) + 1).tolist(), len(keys[0])]
-    for start, stop in zip(bounds, bounds[1:], strict=False):
+    for start, stop in pairwise(bounds):
         names = tuple(str(key[start]) for key in keys)
         yield names, {name: values[start:stop] for name, values in columns.items()}
 
@@ -273,7 +324,10 @@ def read_episodes(path: Path) -> Columns:
         CdcsrError: a column is missing, a cell is not what it should be, or episodes are missing.
     """
     columns = read_csv(path, EPISODE_KINDS)
-    if not np.isin(columns["success"], (0, 1)).all() or not (columns["length"] >= 0).all():
+    if (
+        not np.isin(columns["success"], (0, 1)).all()
+        or not (columns["length"].astype(float) >= 0).all()
+    ):
         raise CdcsrError(
             f"{path} has a success that is not 0 or 1, or a length that is none; delete it and "
             "make it again."
@@ -292,13 +346,19 @@ def read_episodes(path: Path) -> Columns:
     return columns
 
 
-def read_csv(path: Path, kinds: Mapping[str, Convert], others: Convert | None = None) -> Columns:
+def read_csv(
+    path: Path,
+    kinds: Mapping[str, Convert],
+    others: Convert | None = None,
+    texts: Mapping[str, Convert] | None = None,
+) -> Columns:
     """Return the columns of a CSV file.
 
     Args:
         path: the file.
         kinds: how the cells of each wanted column are converted.
         others: how those of all other columns are; None leaves them out.
+        texts: the same for columns that may be missing.
 
     Raises:
         CdcsrError: a column is missing, or a cell cannot be converted.
@@ -313,7 +373,8 @@ def read_csv(path: Path, kinds: Mapping[str, Convert], others: Convert | None = 
             f"{path} has no column {', '.join(missing)} (found: {', '.join(head) or 'nothing'}); "
             "delete it and make it again."
         )
-    all_kinds = {**({} if others is None else dict.fromkeys(head, others)), **kinds}
+    known = {name: kind for name, kind in (texts or {}).items() if name in head}
+    all_kinds = {**({} if others is None else dict.fromkeys(head, others)), **known, **kinds}
     try:
         return {
             name: np.array(
@@ -324,11 +385,12 @@ def read_csv(path: Path, kinds: Mapping[str, Convert], others: Convert | None = 
         }
     except (ValueError, IndexError) as error:
         raise CdcsrError(
-            f"{path} has a row that does not fit its columns ({error}); delete it and make it again."
+            f"{path} has a row that does not fit its columns ({error}); delete it and "
+            "make it again."
         ) from None
 
 
-def _parquet():  # noqa: ANN202
+def _parquet() -> ModuleType:
     try:
         import pyarrow.parquet as parquet
     except ModuleNotFoundError:

@@ -1,4 +1,4 @@
-"""What is measured of a run once it is trained: one CSV file for each evaluation, one row for each episode."""
+"""Measure a trained policy: each evaluation writes a CSV file, with a row for each episode."""
 
 from __future__ import annotations
 
@@ -8,99 +8,92 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from itertools import product
 from pathlib import Path
-from typing import Any
+from typing import TypedDict
 
 from cdcsr.envs.disturbances import Disturbances
-from cdcsr.errors import CdcsrError
 from cdcsr.files import write_text
 from cdcsr.robot.description import Robot
 from cdcsr.simulation.engines import backend_names
 from controllers.controller import Controller
 from training.config.run_description import RunDescription
-from training.measure.evaluation import Result, evaluate
+from training.measure.evaluation import Array, Result, evaluate
 from training.measure.following import MOTIONS, follow
 from training.measure.plant_axes import AXES
 from training.measure.plant_sweep import Point, sweep
 from training.policy import Policy
 from training.study.declare.grid import AROUND, SPACES
+from training.study.store import EPISODE_KINDS, FOLLOW_KINDS, read_csv
 
-EPISODE_COLUMNS = ("backend", "space", "axis", "level", "episode", "success", "length", "distance")
-FOLLOW_COLUMNS = (
-    "backend",
-    "motion",
-    "episode",
-    "step",
-    "tip_error",
-    "base_position_error",
-    "base_attitude_error",
-)
+EPISODE_COLUMNS, FOLLOW_COLUMNS = tuple(EPISODE_KINDS), tuple(FOLLOW_KINDS)
 FOLLOW_EPISODES = 10
-"""At most; each is many rows."""
+"""Most episodes of an evaluation of target following; each has many rows."""
 
 PLANT_EPISODES = 30
-"""At most; there are many plants."""
+"""Most episodes for each plant; there are many plants."""
 
 LEVELS = {
     "action_noise": (0.0, 0.5, 1.0, 1.5, 2.0),
     "base_noise": (0.01, 0.02, 0.03),
     "packet_loss": (0.2, 0.4, 0.6, 0.8, 1.0),
 }
-"""Of each disturbance of Table IV, in the units of :class:`Disturbances`."""
+"""Levels of each disturbance of Table IV, in the units of :class:`Disturbances`."""
 
-Row = tuple[Any, ...]
+Row = tuple[str | int | float, ...]
+
+
+class Options(TypedDict, total=False):
+    """The options of an environment that depend on who is measured."""
+
+    centers: Array | None
+    frame_skip: int
+    task: str
 
 
 @dataclass(frozen=True)
 class Subject:
-    """Who is measured."""
+    """The controller that is measured, its run and its robot."""
 
     spec: RunDescription
     controller: Controller
     robot: Robot
 
     @property
-    def options(self) -> dict[str, Any]:
-        """What of an environment depends on who is measured."""
-        policy = self.controller if isinstance(self.controller, Policy) else None
-        known = (
-            {} if policy is None else {"centers": policy.centers, "frame_skip": policy.frame_skip}
-        )
-        return {**known, "task": self.spec.task}
+    def options(self) -> Options:
+        """The options of an environment that depend on who is measured."""
+        options = Options(task=self.spec.task)
+        if isinstance(self.controller, Policy):
+            options["centers"] = self.controller.centers
+            options["frame_skip"] = self.controller.frame_skip
+        return options
 
 
 @dataclass(frozen=True)
 class Evaluation:
-    """A file of results."""
+    """A kind of measurement, whose results fill one file."""
 
     columns: tuple[str, ...]
     measure: Callable[[Subject, int], Iterator[Row]]
-    """Of a subject, in so many episodes for each cell; rows in the order of the columns."""
+    """Measures a subject, in so many episodes for each cell; yields rows."""
     most: int | None = None
-    """Episodes for each cell, at most."""
+    """The most episodes for each cell."""
 
     def episodes(self, asked: int) -> int:
-        """How many episodes each cell has if so many are asked for."""
+        """Return how many episodes each cell has if `asked` are asked for."""
         return asked if self.most is None else min(asked, self.most)
 
     def is_done(self, path: Path, asked: int) -> bool:
-        """Whether the file is there, with as many episodes as are asked for. A file is complete or absent.
+        """Return whether the file is there, with at least as many episodes as are asked for.
 
         Raises:
-            CdcsrError: it is none that was written here.
+            CdcsrError: the file is damaged.
         """
         if not path.is_file():
             return False
-        try:
-            with path.open(newline="", encoding="utf-8") as file:
-                last = max((int(row["episode"]) for row in csv.DictReader(file)), default=-1)
-        except (OSError, KeyError, ValueError, TypeError) as error:
-            raise CdcsrError(
-                f"{path} is damaged ({type(error).__name__}: {error}); delete it to have it made again."
-            ) from None
-        return last + 1 >= self.episodes(asked)
+        episode = read_csv(path, {"episode": int})["episode"]
+        return int(episode.max(initial=-1)) + 1 >= self.episodes(asked)
 
     def write(self, path: Path, subject: Subject, asked: int) -> None:
-        """Measure, and write the file as a whole."""
+        """Measure a subject and write the file as a whole."""
         text = io.StringIO(newline="")
         writer = csv.writer(text, lineterminator="\n")
         writer.writerow(self.columns)
@@ -109,7 +102,7 @@ class Evaluation:
 
 
 def nominal(subject: Subject, episodes: int) -> Iterator[Row]:
-    """Undisturbed, in every engine: a reaching policy in all spaces of the paper, another in its own."""
+    """Measure in every engine: reaching in all the paper's spaces, another task in its own space."""
     spec = subject.spec
     spaces = SPACES if spec.task == "reach" and spec.space in SPACES else (spec.space,)
     for space, backend in product(spaces, backend_names()):
@@ -120,7 +113,7 @@ def nominal(subject: Subject, episodes: int) -> Iterator[Row]:
 
 
 def around(subject: Subject, episodes: int) -> Iterator[Row]:
-    """Undisturbed, in every engine, all around the arm."""
+    """Measure in every engine, in the whole workspace."""
     for backend in backend_names():
         result = evaluate(
             subject.controller, subject.robot, backend, AROUND, episodes, **subject.options
@@ -129,7 +122,7 @@ def around(subject: Subject, episodes: int) -> Iterator[Row]:
 
 
 def disturbances(subject: Subject, episodes: int) -> Iterator[Row]:
-    """One disturbance at a time, in the engine and space of training (Table IV)."""
+    """Measure under one disturbance at a time, in engine and space of training (Table IV)."""
     backend, space = subject.spec.backend, subject.spec.space
     for axis, levels in LEVELS.items():
         for level in levels:
@@ -146,24 +139,24 @@ def disturbances(subject: Subject, episodes: int) -> Iterator[Row]:
 
 
 def following(subject: Subject, episodes: int) -> Iterator[Row]:
-    """Targets that move, in every engine (Fig. 6)."""
-    known = {name: value for name, value in subject.options.items() if name != "task"}
+    """Measure how targets that move are followed, in every engine (Fig. 6)."""
+    policy = subject.controller if isinstance(subject.controller, Policy) else None
     for backend, motion in product(backend_names(), MOTIONS):
-        for sample in follow(
+        for motion_name, episode, step, *errors in follow(
             subject.controller,
             subject.robot,
             backend,
             subject.spec.space,
             motion,
             episodes,
-            **known,
+            centers=None if policy is None else policy.centers,
+            frame_skip=1 if policy is None else policy.frame_skip,
         ):
-            motion, episode, step, *errors = sample
-            yield backend, motion, episode, step, *(f"{error:.5f}" for error in errors)
+            yield backend, motion_name, episode, step, *(f"{error:.5f}" for error in errors)
 
 
 def plants(subject: Subject, episodes: int) -> Iterator[Row]:
-    """Plants that are ever more wrong, one axis at a time, in every engine, until success halves."""
+    """Sweep each axis of the plant in every engine, until success halves."""
     space = subject.spec.space
     for backend in backend_names():
         nominal = evaluate(
@@ -190,7 +183,7 @@ def plants(subject: Subject, episodes: int) -> Iterator[Row]:
 def episode_rows(
     backend: str, space: str, axis: str, level: float, result: Result
 ) -> Iterator[Row]:
-    """The rows of one cell."""
+    """Yield the rows of one cell."""
     for i, (success, length, distance) in enumerate(
         zip(result.success, result.length, result.distance, strict=True)
     ):
@@ -204,4 +197,4 @@ EVALUATIONS: dict[str, Evaluation] = {
     "plants": Evaluation(EPISODE_COLUMNS, plants, most=PLANT_EPISODES),
     "follow": Evaluation(FOLLOW_COLUMNS, following, most=FOLLOW_EPISODES),
 }
-"""By name, which is also that of its file."""
+"""All evaluations by name, which is also the name of the file."""

@@ -1,6 +1,6 @@
 """One job of the study: train a run or go on with it, then make what is missing of its evaluations.
 
-`python -m training.study.execute.jobs --job JSON` does one job in a process of its own, as the executors do.
+The executors run `python -m training.study.execute.jobs --job JSON`, a process for each job.
 """
 
 from __future__ import annotations
@@ -9,11 +9,14 @@ import json
 import os
 import shutil
 import signal
+import subprocess
 import sys
 import threading
+from collections.abc import Mapping
 from dataclasses import asdict, dataclass
+from importlib.metadata import version
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, cast
 
 from cdcsr.cli import run
 from cdcsr.errors import CdcsrError, unknown_choice
@@ -24,18 +27,19 @@ from training.study.declare.budgets import Budget
 
 if TYPE_CHECKING:
     from training.policy import Policy
+    from training.study.execute.evaluations import Subject
 
 RECORD = "run.json"
-"""Written last: a run whose record is there has a policy, and a learning curve if it learns."""
+"""This file is written last: with it the results of a run are complete."""
 METRICS = "metrics.csv"
 SUMMARY = "summary.json"
-"""Of a run's folder: there once it is finished."""
+"""This file is in the folder of a training run once it is finished."""
 ROBOT = "paper"
 
 
 @dataclass(frozen=True)
 class Job:
-    """A run and what is wanted of it."""
+    """A run and the evaluations that are wanted of it."""
 
     spec: RunDescription
     evaluations: tuple[str, ...]
@@ -46,7 +50,7 @@ class Job:
         return self.spec.name
 
     def missing(self, results: Path) -> list[str]:
-        """The evaluations that are still to be made."""
+        """Return the evaluations that the working folder `results` still lacks."""
         from training.study.execute.evaluations import EVALUATIONS
 
         folder = results / self.name
@@ -58,22 +62,28 @@ class Job:
         ]
 
     def is_done(self, results: Path) -> bool:
-        """Whether nothing is left to do."""
+        """Return whether the working folder `results` lacks nothing."""
         return (results / self.name / RECORD).is_file() and not self.missing(results)
 
     def changed(self, results: Path) -> list[str]:
-        """Numbers of the learner that the results there were made with, and that are others now.
+        """Return how the learner's numbers differ from those in a record of the working folder.
 
         Raises:
             CdcsrError: the record cannot be read.
         """
         from cdcsr.files import read_json
-        from training.algorithms.registry import numbers_of
 
         path = results / self.name / RECORD
-        if not path.is_file() or not self.spec.trains:
+        return self.differences(read_json(path)) if path.is_file() else []
+
+    def differences(self, record: Mapping[str, object]) -> list[str]:
+        """Return how the learner's numbers differ from those in the record of a run."""
+        from training.algorithms.registry import numbers_of
+
+        if not self.spec.trains:
             return []
-        recorded, now = read_json(path).get("learner", {}), numbers_of(self.spec)
+        recorded = cast(dict[str, object], record.get("learner", {}))
+        now = numbers_of(self.spec)
         return [
             f"{name} {recorded[name]}, now {value}"
             for name, value in now.model_dump(mode="json").items()
@@ -81,13 +91,13 @@ class Job:
         ]
 
     def is_begun(self, runs: Path) -> bool:
-        """Whether its training has begun, and not ended."""
+        """Return whether its training has begun and not ended."""
         return (runs / self.name / "config.json").is_file() and not (
             runs / self.name / SUMMARY
         ).is_file()
 
     def command(self, runs: Path, results: Path) -> list[str]:
-        """The command line of a process that does it, and ends when its standard input does."""
+        """Return the command line of a process that does it; it ends with its standard input."""
         folders = ["--runs", str(runs.resolve()), "--results", str(results.resolve())]
         return [
             sys.executable,
@@ -100,7 +110,7 @@ class Job:
         ]
 
     def to_json(self) -> str:
-        """One line that :meth:`from_json` reads."""
+        """Return one line that :meth:`from_json` reads."""
         data = {
             "spec": self.spec.as_dict(),
             "evaluations": self.evaluations,
@@ -124,7 +134,7 @@ class Job:
 
 
 def environment() -> dict[str, str]:
-    """The environment of a job's process: one thread, and no progress bar in its log."""
+    """Return the environment of a job's process: one thread, and no progress bar in its log."""
     threads = dict.fromkeys(
         ("OMP_NUM_THREADS", "MKL_NUM_THREADS", "OPENBLAS_NUM_THREADS", "NUMBA_NUM_THREADS"), "1"
     )
@@ -132,15 +142,15 @@ def environment() -> dict[str, str]:
 
 
 def carry_out(job: Job, runs: Path, results: Path) -> None:
-    """Do what is left of a job, and nothing twice. It may be killed at any moment, and done again.
+    """Do what is left of a job. It may be killed at any moment and started again.
 
     Args:
         job: what is wanted.
-        runs: where its training run is, by its name; also its lock.
-        results: where its results go, by its name.
+        runs: folder of the training runs and their locks.
+        results: working folder of the results.
 
     Raises:
-        Busy: another process is at it.
+        Busy: another process works on it.
         CdcsrError: there is no such algorithm or evaluation.
     """
     from training.algorithms.registry import find_algorithm
@@ -178,9 +188,8 @@ def _work(job: Job, missing: list[str], out: Path, folder: Path) -> None:
             missing = list(dict.fromkeys((*there, *missing)))
             for name in there:
                 (folder / f"{name}.csv").unlink()
-            (folder / RECORD).unlink(
-                missing_ok=True
-            )  # last: as long as it is there, it is seen that it is another's
+            # Last: while the record is there, the folder is known to be of another policy.
+            (folder / RECORD).unlink(missing_ok=True)
         if (out / METRICS).is_file():  # the behaviour clone alone has no learning curve
             write_bytes(folder / METRICS, (out / METRICS).read_bytes())
     else:
@@ -193,15 +202,16 @@ def _work(job: Job, missing: list[str], out: Path, folder: Path) -> None:
 
 
 def _is_of(folder: Path, digest: str, finished: bool) -> bool:
-    """Whether the results there are of this policy. A run's results are of one policy, or they are made again.
+    """Return whether the results in a folder are those of this policy.
 
-    Results go from machine to machine and policies do not; where only the results are, a policy that is trained for
-    another evaluation is not quite the one they are of, as processors round differently.
+    All results of a run must be of one policy. Where results were copied from another machine
+    without the policy, training again gives a slightly different one, as processors round
+    differently.
 
     Args:
-        folder: of the run's results.
-        digest: of the policy.
-        finished: it was there, not trained just now.
+        folder: the results of the run.
+        digest: the digest of the policy.
+        finished: the policy was there before, and was not trained just now.
     """
     from cdcsr.files import read_json
 
@@ -225,19 +235,20 @@ def _train(job: Job, out: Path) -> Policy:
 
 
 def _sweep(folder: Path) -> None:
-    """Remove what a process that was killed had not finished writing."""
+    """Delete files that a killed process had not finished writing."""
     for path in folder.glob(".*"):
         shutil.rmtree(path) if path.is_dir() else path.unlink()
 
 
-def _record(job: Job, subject: Any, card: dict[str, Any]) -> dict[str, Any]:
+def _record(job: Job, subject: Subject, card: Mapping[str, object]) -> dict[str, object]:
     from training.algorithms.registry import numbers_of
     from training.policy import versions
 
     return {
         "spec": {**job.spec.as_dict(), "budget": job.budget.name},
         "learner": numbers_of(job.spec).model_dump(mode="json") if job.spec.trains else {},
-        "policy": subject.controller.digest if job.spec.trains else None,
+        "policy": getattr(subject.controller, "digest", None),
+        "commit": commit(),
         "minutes": card.get("minutes", 0.0),
         "updates": card.get("updates", 0),
         "environment_steps": card.get("environment_steps", 0),
@@ -247,24 +258,37 @@ def _record(job: Job, subject: Any, card: dict[str, Any]) -> dict[str, Any]:
     }
 
 
+def commit() -> str:
+    """Return the commit of the checkout that the code runs from, or the installed version."""
+    folder = Path(__file__).parents[3]
+    if (folder / ".git").exists():
+        command = ["git", "-C", str(folder), "describe", "--always", "--dirty", "--abbrev=12"]
+        try:
+            done = subprocess.run(command, capture_output=True, text=True, check=True)
+        except (OSError, subprocess.CalledProcessError):
+            pass
+        else:
+            return done.stdout.strip()
+    return version("cdcsr")
+
+
 def do_job(
     *,
     job: str,
     runs: Path = Path("runs/study"),
-    results: Path = Path("results/study"),
+    results: Path = Path("runs/results"),
     until_stdin_ends: bool = False,
 ) -> None:
     """Do one job of the study.
 
     Args:
-        job: what :meth:`Job.to_json` wrote.
+        job: the text that :meth:`Job.to_json` returned.
         runs: folder of the training runs.
-        results: folder of the results.
-        until_stdin_ends: end at once when standard input does: when the process that writes to it has died.
+        results: working folder of the results.
+        until_stdin_ends: end at once when standard input ends, as when the executor has died.
     """
-    signal.signal(
-        signal.SIGTERM, lambda *_: sys.exit(128 + signal.SIGTERM)
-    )  # gives its lock back on the way out
+    # An exit instead of the signal's default releases the lock on the way out.
+    signal.signal(signal.SIGTERM, lambda *_: sys.exit(128 + signal.SIGTERM))
     if until_stdin_ends:
         threading.Thread(target=_end_with_stdin, daemon=True).start()
     carry_out(Job.from_json(job), runs, results)
@@ -273,7 +297,7 @@ def do_job(
 def _end_with_stdin() -> None:
     while os.read(0, 1024):
         pass
-    os._exit(1)  # at once, as if killed: nothing is lost by that
+    os._exit(1)  # at once, as if killed, which loses nothing
 
 
 def main() -> int:

@@ -1,4 +1,4 @@
-"""Carries out jobs on this machine, a few side by side, each in a process of its own."""
+"""Do jobs on this machine, a few side by side, each in a process of its own."""
 
 from __future__ import annotations
 
@@ -17,32 +17,32 @@ from training.study.execute.jobs import Job, environment
 POLL = 0.2
 """Seconds between two looks at the processes."""
 RETRY_BUSY = 10.0
-"""Seconds until a job that another process is at is tried again."""
+"""Seconds until a job that another process works on is tried again."""
 GRACE = 5.0
 """Seconds a process has to end by itself when the work is interrupted."""
 
 
 @dataclass
 class Outcome:
-    """What became of some jobs; names of runs."""
+    """What became of some jobs, by the names of their runs."""
 
     finished: dict[str, float] = field(default_factory=dict)
-    """And the minutes each took this time."""
+    """Finished jobs, and the minutes each took this time."""
     skipped: list[str] = field(default_factory=list)
-    """Those that were done before."""
+    """Jobs that were done before."""
     failed: dict[str, str] = field(default_factory=dict)
-    """And why."""
+    """Failed jobs, and why."""
 
 
 class Progress:
-    """Says how far the work is, and about how long it will still take."""
+    """Print how far the work is, and about how long it will still take."""
 
     def __init__(self, jobs: Sequence[Job], slots: int) -> None:
         self._left, self._slots = {job.name: job for job in jobs}, slots
         self._total, self._minutes = len(jobs), dict[str, list[float]]()
 
     def done(self, job: Job, what: str, minutes: float | None = None) -> None:
-        """One job more is done; `minutes` only if it is worth learning from how long it took."""
+        """Print that a job is done; its `minutes`, if given, improve the estimate."""
         del self._left[job.name]
         if minutes is not None:
             self._minutes.setdefault(job.spec.algorithm, []).append(minutes)
@@ -75,16 +75,19 @@ class _Running:
 def carry_out_here(jobs: Sequence[Job], runs: Path, results: Path, slots: int) -> Outcome:
     """Do jobs side by side; one that fails does not stop the others.
 
-    When this process ends, in whatever way, so do those of the jobs; what they had done stays done.
+    When this process ends, in whatever way, the jobs' processes end too; their files stay.
 
     Args:
-        jobs: what is wanted, in this order.
+        jobs: the jobs, in the order in which they are started.
         runs: folder of the training runs, their logs and their locks.
-        results: folder of the results.
-        slots: how many at once.
+        results: working folder of the results.
+        slots: how many jobs run at once.
+
+    Raises:
+        CdcsrError: `slots` is less than 1, or the folder `runs` cannot be made.
     """
     if slots < 1:
-        raise CdcsrError(f"jobs must be at least 1, not {slots}.")
+        raise CdcsrError(f"--jobs must be at least 1, found {slots}.")
     try:
         runs.mkdir(parents=True, exist_ok=True)
     except OSError as error:
@@ -117,7 +120,7 @@ def carry_out_here(jobs: Sequence[Job], runs: Path, results: Path, slots: int) -
 
 
 def _start(job: Job, runs: Path, results: Path) -> _Running:
-    print(f"        {job.name}: {'going on' if job.is_begun(runs) else 'started'}", flush=True)
+    print(f"        {job.name}: {'resumed' if job.is_begun(runs) else 'started'}", flush=True)
     log = log_path(job, runs).open("ab")
     process = subprocess.Popen(
         job.command(runs, results),
@@ -143,14 +146,14 @@ def _conclude(
 
 
 def failure(code: int, log: Path) -> str:
-    """Why a job failed: the end of its log."""
+    """Return why a job failed: its exit code, and the last line of its log."""
     how = f"killed by signal {-code}" if code < 0 else f"exit code {code}"
     lines = [line for line in log.read_text("utf-8", "replace").splitlines() if line.strip()]
     return f"{how} ({log}): {lines[-1].strip() if lines else 'nothing in the log'}"
 
 
 def log_path(job: Job, runs: Path) -> Path:
-    """Where what a job prints goes."""
+    """Return the file for what a job prints."""
     return runs / f"{job.name}.log"
 
 
@@ -174,5 +177,5 @@ def _close(each: _Running) -> None:
 
 
 def duration(minutes: float) -> str:
-    """In words."""
+    """Return a duration in words."""
     return f"{minutes / 60:.1f} h" if minutes >= 90 else f"{minutes:.1f} min"

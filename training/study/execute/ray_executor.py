@@ -1,4 +1,4 @@
-"""Carries out jobs on a Ray cluster, each as a task of one processor. Needs the extra `ray`."""
+"""Do jobs on a Ray cluster, each as a task of one processor. Needs the extra `ray`."""
 
 from __future__ import annotations
 
@@ -15,23 +15,25 @@ from training.study.execute.jobs import Job, environment
 from training.study.execute.local import Outcome, Progress, duration, failure, log_path
 
 RETRIES = 10
-"""How often a job is given to another node when the one it ran on is lost."""
+"""How often a job is given to another node when its node is lost."""
 RETRY_BUSY = 2.0
-"""Seconds until a job is tried again whose lock another process holds."""
+"""Seconds until a job that another process works on is tried again."""
 
 
 def carry_out_on_ray(
     jobs: Sequence[Job], runs: Path, results: Path, address: str | None
 ) -> Outcome:
-    """Do jobs on a cluster; one that fails does not stop the others, nor does a node that is lost.
+    """Do jobs on a cluster; neither a job that fails nor a node that is lost stops the others.
 
-    Every node must have this package installed and see `runs` and `results` at the same path as this machine.
+    Every node must have this package installed, and must see the folders `runs` and `results` at
+    the same paths as this machine.
 
     Args:
-        jobs: what is wanted, in this order.
+        jobs: the jobs, in the order in which they are started.
         runs: folder of the training runs, their logs and their locks.
-        results: folder of the results.
-        address: of a cluster that runs, as for `ray.init`; None starts one on this machine, for as long as needed.
+        results: working folder of the results.
+        address: address of a running cluster, as for `ray.init`; None starts one on this machine
+            for as long as it is needed.
 
     Raises:
         CdcsrError: Ray is not installed, or there is no cluster at that address.
@@ -68,13 +70,14 @@ def carry_out_on_ray(
 
 
 def do_one(text: str, runs: str, results: str) -> tuple[int, float]:
-    """Do one job, on the node this is called on.
+    """Do one job on the node where this is called.
 
-    Its process ends with the one that calls this. A lock that a lost node left behind is waited for.
+    The job's process ends with the calling one. A lock that a lost node left behind is waited for.
 
     Args:
         text: the job, as JSON.
-        runs, results: the folders, absolute.
+        runs: folder of the training runs, an absolute path.
+        results: working folder of the results, an absolute path.
 
     Returns:
         The exit code, and the minutes it took.
@@ -120,9 +123,9 @@ def _first_line(error: Exception) -> str:
     return next(iter(str(error).splitlines()), type(error).__name__)
 
 
-def _import_ray() -> Any:
+def _import_ray() -> Any:  # an extra that type checkers need not find
     try:
-        return import_module("ray")  # an extra, which type checkers need not find
+        return import_module("ray")
     except ModuleNotFoundError:
         raise CdcsrError(
             "Ray is not installed; install it with pip install 'cdcsr[ray]'."

@@ -1,51 +1,91 @@
-"""The one list of the report's tables and figures."""
+"""The list of the report's tables and figures: what is added here appears everywhere."""
 
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 
 from training.study.declare import grid
 from training.study.declare.budgets import BUDGETS
 from training.study.report.aggregate import aggregate
+from training.study.report.beside_paper import (
+    Expected,
+    beside_table_2,
+    beside_table_3,
+    beside_table_4,
+)
 from training.study.report.cells import Table
-from training.study.report.engine_differences import differences
-from training.study.report.learning_curves import curve_figures
-from training.study.report.nearness import near_and_far, nearness, nearness_figures
-from training.study.report.page import Expected, beside_paper
+from training.study.report.engine_differences import differences, stock_settings
+from training.study.report.learning_curves import curve_figures, validation_points
+from training.study.report.nearness import nearness, nearness_figures
 from training.study.report.plant_plots import follow_figures, plant_figures
 from training.study.report.reachable import beside_demonstrator
 from training.study.report.records import Run
-from training.study.report.tables import all_tables
+from training.study.report.stored_commands import searches, shipped
+from training.study.report.tables import (
+    ablation,
+    comparison,
+    demonstrations,
+    generalization,
+    robustness,
+    transfer,
+)
+from training.study.report.tables_beyond import halvings, own_ablation, presets, raised, tasks
 from training.study.report.variant_plots import variant_figures
+
+PAPER_TABLES: tuple[Callable[[Sequence[Run], Expected | None], Table], ...] = (
+    beside_table_2,
+    beside_table_3,
+    beside_table_4,
+)
+"""Tables that set the paper's numbers beside ours."""
+TABLES: tuple[Callable[[Sequence[Run]], Table], ...] = (
+    aggregate,
+    comparison,
+    ablation,
+    own_ablation,
+    presets,
+    raised,
+    demonstrations,
+    generalization,
+    robustness,
+    transfer,
+    halvings,
+    tasks,
+    nearness,
+    differences,
+    stock_settings,
+    beside_demonstrator,
+    validation_points,
+)
+"""The other tables of the study's runs."""
+STORED_TABLES: tuple[Callable[[Path], Table], ...] = (searches, shipped)
+"""Tables of what other commands stored in the folder of the results."""
+FIGURES: tuple[Callable[[Sequence[Run], Path], Iterator[tuple[str, str]]], ...] = (
+    curve_figures,
+    variant_figures,
+    follow_figures,
+    nearness_figures,
+    plant_figures,
+)
+"""Each draws figures into a folder, and yields the name and the caption of each."""
 
 
 def paper_tables(runs: Sequence[Run]) -> list[Table]:
     """Return the tables that stand beside the paper's."""
-    return list(beside_paper(runs, expected_runs(runs)))
+    wanted = expected_runs(runs)
+    return [make(runs, wanted) for make in PAPER_TABLES]
 
 
-def other_tables(runs: Sequence[Run]) -> list[Table]:
-    """Return all other tables."""
-    return [
-        aggregate(runs),
-        *all_tables(runs),
-        nearness(near_and_far(runs)),
-        differences(runs),
-        beside_demonstrator(runs),
-    ]
+def other_tables(runs: Sequence[Run], results: Path) -> list[Table]:
+    """Return all other tables, of runs and of the folder that they come from."""
+    return [*(make(runs) for make in TABLES), *(make(results) for make in STORED_TABLES)]
 
 
 def draw_figures(runs: Sequence[Run], folder: Path) -> list[tuple[str, str]]:
     """Draw all figures into a folder; return the name of each file and its caption."""
-    return [
-        *curve_figures(runs, folder),
-        *variant_figures(runs, folder),
-        *follow_figures(runs, folder),
-        *nearness_figures(near_and_far(runs), folder),
-        *plant_figures(runs, folder),
-    ]
+    return [shown for draw in FIGURES for shown in draw(runs, folder)]
 
 
 def expected_runs(runs: Sequence[Run]) -> Expected | None:

@@ -1,4 +1,4 @@
-"""Episodes that were run in both engines, and those of them that end differently."""
+"""Compare engines: the same episodes in each of them, and each with its stock settings."""
 
 from __future__ import annotations
 
@@ -10,15 +10,16 @@ from cdcsr.simulation.engines import backend_names, engine_title
 from training.measure.plant_axes import AXES
 from training.measure.statistics import disagreement
 from training.study.declare.grid import AROUND
-from training.study.report.cells import Table, Value
-from training.study.report.records import Episodes, Run
+from training.study.report.cells import TRAINED, Table, Value, measure, trained
+from training.study.report.records import SPACES, Episodes, Run, grouped
+from training.study.report.table_parts import basis, engines_of
 
 DESCRIBED = "as described"
-"""Stands where an axis of the plant would."""
+"""The name of the unchanged plant, in the place of an axis."""
 
 
 def differences(runs: Sequence[Run]) -> Table:
-    """Episodes in both engines on the same plant, by what is wrong with it, and how many end well in one only."""
+    """Count the episodes on the same plant that succeed in one engine only, by axis of the plant."""
     found: dict[str, list[tuple[Run, Episodes, Episodes]]] = {}
     for run in runs:
         for axis, pair in _pairs(run):
@@ -46,17 +47,41 @@ def differences(runs: Sequence[Run]) -> Table:
         )
     only = [f"only {engine_title(engine)}" for engine in backend_names()]
     note = (
-        "Episodes of one policy on one target and plant, run in both engines, whatever the method, space, task or"
-        " engine of training; those on changed plants at all levels that both could simulate, without the level"
-        " trained on; what means nothing to one of them (the softness of cables) is left out. Last, on the described"
-        " plant, which they are: run, space, target."
+        "Episodes of one policy on one target and plant, run in both engines, whatever the method,"
+        " space, task or engine of training; on changed plants at all levels that both could"
+        " simulate, without the level of training. Axes that one engine lacks (softness of cables)"
+        " are left out. The last column names the episodes on the described plant: run, space,"
+        " target."
     )
     head = ("plant", "runs", "episodes in both", "end differently", *only, "which")
     return Table("engines", "Where the engines differ", note, head, rows)
 
 
+def stock_settings(runs: Sequence[Run]) -> Table:
+    """Compare success with the engines' stock settings and with those that agree, by policy.
+
+    The engine's own integrator and limit softness take the place of the settings that make the
+    engines agree. A run's episodes are on the same targets both times.
+    """
+    rows: list[list[Value]] = []
+    chosen = [run for run in runs if "plants" in run.evaluations]
+    for setting, group in grouped(chosen).items():
+        for engine in engines_of(group, "plants"):
+            stock = measure(group, "plants", engine, axis="engine_defaults", level=1.0)
+            if stock is None:
+                continue
+            agreed = measure(stock.runs, "plants", engine, axis="engine_defaults", level=0.0)
+            counts = [len(one) for one in stock.episodes]
+            values = [agreed.success if agreed else None, stock.success, counts[0]]
+            names = [*trained(setting), SPACES.get(setting.space, setting.space)]
+            rows.append([*names, engine_title(engine), *values, len(stock.runs)])
+    head = (*TRAINED, "space", "tested in", "κ agreed", "κ stock", "episodes", "seeds")
+    note = basis(chosen) + " Agreed settings are those with which the engines agree."
+    return Table("stock", "With the engines' stock settings", note, head, rows)
+
+
 def _pairs(run: Run) -> Iterator[tuple[str, tuple[Episodes, Episodes]]]:
-    """The same episodes in both engines, with the axis of the plant along which they are."""
+    """Yield the same episodes in both engines, with the axis of the plant."""
     for name in sorted({"nominal", AROUND, "plants"} & run.evaluations.keys()):
         rows = run.evaluations[name]
         cells = sorted(
@@ -75,6 +100,6 @@ def _pairs(run: Run) -> Iterator[tuple[str, tuple[Episodes, Episodes]]]:
 
 
 def _which(run: Run, first: Episodes, second: Episodes) -> str:
-    """The targets on which they differ, if there are any."""
+    """Name the targets that only one engine reaches; empty if there are none."""
     targets = first.episode[first.success != second.success]
     return f"`{run.name}`, {first.space[0]}, {', '.join(map(str, targets))}" if len(targets) else ""

@@ -17,10 +17,21 @@ from cdcsr.plots import drawn, short_count
 from cdcsr.simulation.engines import engine_title
 from training.algorithms.registry import algorithm_color, algorithm_title
 from training.config.run_description import RunDescription
-from training.measure.statistics import band
+from training.measure.statistics import band, over_seeds
 from training.study.declare.grid import ABLATIONS
-from training.study.report.cells import amount, measure, who
-from training.study.report.records import JACOBIAN, SPACES, Run, grouped, is_plain
+from training.study.report.cells import (
+    COST,
+    TRAINED,
+    Table,
+    Value,
+    amount,
+    cost,
+    measure,
+    trained,
+    who,
+)
+from training.study.report.records import JACOBIAN, SPACES, Run, grouped, is_plain, is_usual
+from training.study.report.table_parts import basis
 from training.study.report.tables import COUNTED, counted
 
 Array = NDArray[np.float64]
@@ -74,6 +85,26 @@ def curve_figures(runs: Sequence[Run], out: Path) -> Iterator[tuple[str, str]]:
                 file,
                 f"{title}; preset {preset}, trained in {engine_title(engine)}{length}. {caption(part)}",
             )
+
+
+POINTS = (750, 1_500, 3_000, 6_000, 15_750)
+"""Updates of which the table of validation points tells the success."""
+
+
+def validation_points(runs: Sequence[Run]) -> Table:
+    """Build the table of success on validation targets after some numbers of updates."""
+    chosen = [run for run in runs if run.curve and is_usual(run.setting)]
+    rows: list[list[Value]] = []
+    for setting, group in grouped(chosen).items():
+        updates, curves = aligned(group)
+        points: list[Value] = [
+            over_seeds(curves[:, updates == point]) if (updates == point).any() else None
+            for point in POINTS
+        ]
+        rows.append([SPACES[setting.space], *trained(setting), *points, *cost(group)])
+    head = ("space", *TRAINED, *(f"κ after {point}" for point in POINTS), *COST)
+    title = "Success on validation targets while learning"
+    return Table("curves", title, basis(chosen), head, rows)
 
 
 def caption(runs: Sequence[Run]) -> str:

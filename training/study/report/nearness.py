@@ -1,4 +1,4 @@
-"""Success by how far targets are from the nearest demonstration: what a learner adds to what it was shown."""
+"""Success by the distance from target to nearest demonstration."""
 
 from __future__ import annotations
 
@@ -34,11 +34,11 @@ from training.study.report.records import (
 from training.study.report.table_parts import basis
 
 ROBOT = "paper"
-"""The robot of the study; of another the targets are not known here."""
+"""The robot of the study; runs of another one have other targets and are left out."""
 TOLD = ("anchor", "spatter")
-"""Spaces of targets near a demonstration and far from all. In Floating they are within 10 mm of one."""
+"""Spaces with targets far from all demonstrations; in Floating all are within 10 mm of one."""
 BOUNDS = (0.0, 0.03, 0.06, 0.09, np.inf)
-"""Of the distances that are told apart, in [m]; the first is the paper's threshold."""
+"""Bounds of the bins of distance, in [m]; the paper's threshold comes first."""
 _BINS = [
     f"to {1e3 * high:g} mm" if np.isfinite(high) else f"from {1e3 * low:g} mm"
     for low, high in pairwise(BOUNDS)
@@ -51,7 +51,7 @@ _COLUMNS = 4
 
 
 class Row(NamedTuple):
-    """What some seeds did in their space: for each distance the number of targets, and success if there are any."""
+    """The success of some seeds in their space: number of targets and success in each bin."""
 
     task: str
     space: str
@@ -61,9 +61,9 @@ class Row(NamedTuple):
 
 
 def near_and_far(runs: Sequence[Run]) -> list[Row]:
-    """Success on held-out targets near a demonstration and far from all, in space and engine of training.
+    """Return success on held-out targets by distance, in space and engine of training.
 
-    Reaching comes first. Only runs that saw the ten demonstrations, and are what their algorithm is by itself.
+    Reaching comes first. Only runs with the ten demonstrations and unchanged algorithms count.
     """
     robot, rows = load_robot(ROBOT), []
     chosen = [run for run in runs if run.fingerprint == robot.fingerprint and _as_shown(run)]
@@ -88,8 +88,9 @@ def near_and_far(runs: Sequence[Run]) -> list[Row]:
     return rows
 
 
-def nearness(rows: Sequence[Row]) -> Table:
-    """The table of them."""
+def nearness(runs: Sequence[Run]) -> Table:
+    """Build the table of success by distance to the nearest demonstration."""
+    rows = near_and_far(runs)
     values = [
         [
             row.task,
@@ -109,7 +110,7 @@ def nearness(rows: Sequence[Row]) -> Table:
     )
     note = (
         "Held-out targets by their distance to the nearest of the ten that were demonstrated, for preset `tuned`: "
-        "in Anchor Space some are far from all of them, which is not to be seen from success as a whole. "
+        "in Anchor Space some are far from all of them, which success as a whole does not show. "
     )
     seen = {run.name: run for row in rows for run in row.seeds}
     return Table(
@@ -121,17 +122,17 @@ def nearness(rows: Sequence[Row]) -> Table:
     )
 
 
-def nearness_figures(rows: Sequence[Row], out: Path) -> Iterator[tuple[str, str]]:
-    """A figure of them for each engine of training; without ablations, and of the length that most runs have.
+def nearness_figures(runs: Sequence[Run], out: Path) -> Iterator[tuple[str, str]]:
+    """Draw success by distance for each engine of training: no ablations, and the usual length.
 
     Args:
-        rows: of the study.
+        runs: the runs of the study.
         out: folder of the figures.
 
     Yields:
         The name of each file, and its caption.
     """
-    rows = [row for row in rows if row.setting.algorithm not in ABLATIONS[1:]]
+    rows = [row for row in near_and_far(runs) if row.setting.algorithm not in ABLATIONS[1:]]
     for engine in sorted({row.setting.backend for row in rows}):
         own = [row for row in rows if row.setting.backend == engine]
         lengths = Counter(row.setting.updates for row in own if row.setting.updates)
@@ -141,13 +142,14 @@ def nearness_figures(rows: Sequence[Row], out: Path) -> Iterator[tuple[str, str]
         _draw(own, out / file)
         yield (
             file,
-            f"Success by the distance from target to nearest demonstration, and how many targets are so far; trained in"
-            f" {engine_title(engine)}, {amount((len(row.seeds) for row in own), 'seed')}. Dashed: the demonstrator.",
+            "Success by the distance from target to nearest demonstration, with the number of targets;"
+            f" trained in {engine_title(engine)}, {amount((len(row.seeds) for row in own), 'seed')}."
+            " Dashed: the demonstrator.",
         )
 
 
 def _draw(rows: Sequence[Row], path: Path) -> None:
-    """A panel for each task and space."""
+    """Draw a panel for each task and space."""
     panels: dict[str, list[Row]] = {}
     for row in rows:
         panels.setdefault(f"{row.task}, {SPACES[row.space]}", []).append(row)
@@ -190,7 +192,7 @@ def _draw(rows: Sequence[Row], path: Path) -> None:
 
 
 def distances(robot: Robot, space: str, num: int) -> NDArray[np.float64]:
-    """How far the held-out targets of a space are from the nearest demonstration's, shape (num,), in [m].
+    """Return how far held-out targets are from the nearest demonstration's, shape (num,), in [m].
 
     Args:
         robot: the study's.
@@ -203,7 +205,7 @@ def distances(robot: Robot, space: str, num: int) -> NDArray[np.float64]:
 
 
 def _as_shown(run: Run) -> bool:
-    """Whether a run saw the ten demonstrations, and is what its algorithm is by itself; or is the demonstrator's."""
+    """Return whether a run has ten demonstrations and an unchanged algorithm, or none at all."""
     s = run.setting
     plain = (
         s.preset == "tuned"

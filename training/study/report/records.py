@@ -169,9 +169,13 @@ def _run_of(name: str, stored: StoredRun) -> Run:
             follow=stored.follow,
         )
     except KeyError as error:
-        raise CdcsrError(f"{stored.source}: run {name} has no field {error}; run it again.") from None
+        raise CdcsrError(
+            f"{stored.source}: run {name} has no field {error}; run it again."
+        ) from None
     except (TypeError, ValueError, AttributeError) as error:
-        raise CdcsrError(f"{stored.source}: run {name} is damaged ({error}); run it again.") from None
+        raise CdcsrError(
+            f"{stored.source}: run {name} is damaged ({error}); run it again."
+        ) from None
 
 
 def _curve(metrics: Columns) -> dict[float, float]:

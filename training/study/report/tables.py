@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
@@ -45,14 +45,6 @@ from training.study.report.table_parts import (
     not_run,
     result,
     success,
-)
-from training.study.report.tables_beyond import (
-    CHANGES_OF_ALL,
-    halvings,
-    own_ablation,
-    presets,
-    raised,
-    tasks,
 )
 
 COMPARED = (*(name for name, entry in ALGORITHMS.items() if not entry.ablation), JACOBIAN)
@@ -259,21 +251,3 @@ def transfer(runs: Sequence[Run]) -> Table:
         + " Disagreements count the episodes of all seeds that succeed in one engine only."
     )
     return Table("transfer", "Transfer between engines", note, head, rows)
-
-
-def all_tables(runs: Sequence[Run]) -> Iterator[Table]:
-    """Yield every table of this module and of the tables beyond the paper."""
-    for table in (
-        comparison,
-        ablation,
-        own_ablation,
-        presets,
-        raised,
-        demonstrations,
-        generalization,
-        robustness,
-        transfer,
-        halvings,
-        tasks,
-    ):
-        yield table(runs)

@@ -72,7 +72,7 @@ def test_a_reference_to_nothing_is_named(reference: str, message: str) -> None:
 def test_the_studys_page_has_the_numbers_of_the_results(tmp_path: Path) -> None:
     template = tmp_path / "study.md.in"
     template.write_bytes((ROOT / "docs" / "study.md.in").read_bytes())
-    report(results=ROOT / "results" / "study", docs=template)
+    report(results=ROOT / "results", docs=template)
     made = (tmp_path / "study.md").read_text("utf-8")
     assert made == (ROOT / "docs" / "study.md").read_text("utf-8"), (
         "run `python -m training.report --docs docs/study.md.in`"
