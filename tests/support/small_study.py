@@ -8,7 +8,10 @@ from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+from training.study.report.beside_paper import Expected
 from training.study.report.cells import Table
+from training.study.report.contents import PAPER_TABLES
+from training.study.report.records import Run
 
 HEAD = ["backend", "space", "axis", "level", "episode", "success", "length", "distance"]
 Row = tuple[str, str, str, float, str]
@@ -63,6 +66,10 @@ def write_run(
     if curve:
         write_csv(folder / "metrics.csv", ["update", "success_rate"], curve)
     return folder
+
+
+def beside_paper(runs: Sequence[Run], expected: Expected | None) -> list[Table]:
+    return [make(runs, expected) for make in PAPER_TABLES]
 
 
 def nominal(outcomes: str, space: str = "anchor", backend: str = "mujoco") -> Row:

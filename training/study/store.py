@@ -121,7 +121,7 @@ def pack(work: Path, store: Path) -> int:
 def _pack_searches(work: Path, store: Path) -> None:
     found = {path.parent.name: path for path in work.glob("*/search.json")}
     path = store / "searches.jsonl"
-    options = {record["name"]: record for record in read_lines(path)} if path.is_file() else {}
+    options = {str(record["name"]): record for record in read_lines(path)} if path.is_file() else {}
     options |= {name: {"name": name, **read_json(one)} for name, one in found.items()}
     if options:
         write_text(path, "".join(json.dumps(options[name]) + "\n" for name in sorted(options)))

@@ -165,7 +165,7 @@ def _run_of(name: str, stored: StoredRun) -> Run:
             versions={name: str(version) for name, version in versions.items()},
             fingerprint=str(data["fingerprint"]),
             curve=_curve(stored.metrics),
-            evaluations={one: _episodes(table) for one, table in stored.evaluations.items()},
+            evaluations={one: episodes_of(table) for one, table in stored.evaluations.items()},
             follow=stored.follow,
         )
     except KeyError as error:
@@ -185,7 +185,8 @@ def _curve(metrics: Columns) -> dict[float, float]:
     return {x: y for x, y in zip(updates.tolist(), rates.tolist(), strict=True) if y == y}
 
 
-def _episodes(columns: Columns) -> Episodes:
+def episodes_of(columns: Columns) -> Episodes:
+    """Return the columns of an evaluation in the types of :class:`Episodes`."""
     return Episodes(
         backend=columns["backend"].astype(np.str_),
         space=columns["space"].astype(np.str_),

@@ -35,6 +35,7 @@ from training.study.report.records import (
     is_plain,
     is_usual,
 )
+from training.study.report.tables_beyond import CHANGES_OF_ALL
 from training.study.report.table_parts import (
     RESULT,
     basis,

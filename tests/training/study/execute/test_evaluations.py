@@ -27,7 +27,8 @@ from training.policy import Policy
 from training.study.execute import evaluations
 from training.study.execute.evaluations import EVALUATIONS, Subject
 from training.study.report.paper_numbers import TABLE_4
-from training.study.report.records import read_episodes, read_follow
+from training.study.report.records import episodes_of
+from training.study.store import FOLLOW_KINDS, read_csv, read_episodes
 
 Array = NDArray[np.float64]
 
@@ -85,7 +86,7 @@ def test_disturbances_are_table_4s_one_at_a_time_where_the_run_was_trained(
     assert {*cells} | {(axis, 0.0) for axis, _ in cells} == {
         (axis, level) for axis, level, _ in TABLE_4
     }
-    wanted: list[dict[str, Any]] = [{axis: level} for axis, level in cells]
+    wanted: list[dict[str, Any]] = [{str(axis): level} for axis, level in cells]
     assert [one["disturbances"] for one in measured.asked] == [
         Disturbances(**one) for one in wanted
     ]
@@ -145,7 +146,7 @@ def test_what_was_measured_is_what_is_read(
 ) -> None:
     subject = Subject(RunDescription(algorithm="batd3", space="anchor"), policy, policy.robot)
     EVALUATIONS["disturbances"].write(tmp_path / "disturbances.csv", subject, 6)
-    found = read_episodes(tmp_path / "disturbances.csv")
+    found = episodes_of(read_episodes(tmp_path / "disturbances.csv"))
     assert len(found) == 6 * len(measured.asked)
     for asked, result in zip(measured.asked, measured.results, strict=True):
         strength = asked["disturbances"]
@@ -174,7 +175,7 @@ def test_following_is_of_the_policy_in_its_space_and_read_as_it_was(
     monkeypatch.setattr(evaluations, "follow", followed)
     subject = Subject(RunDescription(algorithm="batd3", space="floating"), policy, policy.robot)
     EVALUATIONS["follow"].write(tmp_path / "follow.csv", subject, 100)
-    columns = read_follow(tmp_path / "follow.csv")
+    columns = read_csv(tmp_path / "follow.csv", FOLLOW_KINDS)
     motions = [
         (engine, motion)
         for engine in ("mujoco", "pybullet")

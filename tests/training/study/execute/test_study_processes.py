@@ -107,6 +107,7 @@ def test_two_jobs_side_by_side_and_one_that_fails(
         "spec",
         "learner",
         "policy",
+        "commit",
         "minutes",
         "updates",
         "environment_steps",

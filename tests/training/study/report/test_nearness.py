@@ -17,7 +17,7 @@ from tests.support.small_study import find, nominal, write_run
 from training.algorithms.registry import ALGORITHMS
 from training.config.seeds import TEST_SEED
 from training.study.report import nearness as module
-from training.study.report.nearness import distances, near_and_far, nearness, nearness_figures
+from training.study.report.nearness import distances, nearness, nearness_figures
 from training.study.report.records import load_study
 
 ROBOT = load_robot("paper")
@@ -76,7 +76,7 @@ def study(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
 
 def test_each_distance_has_its_targets_and_its_success(study: Path) -> None:
-    row = find(nearness(near_and_far(load_study(study))), algorithm="BATD3", task="reach")
+    row = find(nearness(load_study(study)), algorithm="BATD3", task="reach")
     assert [
         row[f"targets {name}"] for name in ("to 30 mm", "to 60 mm", "to 90 mm", "from 90 mm")
     ] == [2, 0, 1, 1]
@@ -88,7 +88,7 @@ def test_each_distance_has_its_targets_and_its_success(study: Path) -> None:
 
 
 def test_rows_are_plain_runs_of_the_known_robot_that_saw_the_ten(study: Path) -> None:
-    table = nearness(near_and_far(load_study(study)))
+    table = nearness(load_study(study))
     assert [tuple(row[:3]) for row in table.rows] == [
         ("reach", "Anchor", "BATD3"),
         ("reach", "Spatter", "BC"),
@@ -109,7 +109,7 @@ def test_a_figure_shows_the_methods_of_one_engine_and_length(study: Path, tmp_pa
                 '"fingerprint": "f"', f'"fingerprint": "{ROBOT.fingerprint}"'
             )
         )
-    ((file, said),) = nearness_figures(near_and_far(load_study(study)), tmp_path)
+    ((file, said),) = nearness_figures(load_study(study), tmp_path)
     assert file == "nearness-mujoco.png"
     assert "1 to 2 seeds" in said
     picture = imageio.imread(tmp_path / file)[..., :3]

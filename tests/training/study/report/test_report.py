@@ -11,13 +11,13 @@ import numpy as np
 import pytest
 
 from cdcsr.errors import CdcsrError
-from tests.support.small_study import HEAD, find, nominal, write_csv, write_run
+from tests.support.small_study import HEAD, beside_paper, find, nominal, write_csv, write_run
 from training.measure.statistics import Estimate
 from training.report import report
 from training.study.report.aggregate import aggregate
 from training.study.report.cells import Table
 from training.study.report.learning_curves import aligned, curve_figures
-from training.study.report.page import beside_paper, missing
+from training.study.report.page import missing
 from training.study.report.paper_numbers import TABLE_2, TABLE_3, TABLE_4
 from training.study.report.reachable import beside_demonstrator
 from training.study.report.records import load_study
@@ -319,7 +319,7 @@ def test_report_is_whole_and_replaces_only_reports(
         "plants": {there: ("nominal", "plants", "follow")},
     }
     monkeypatch.setattr(
-        "training.study.declare.grid.expected",
+        "training.study.report.contents.expected",
         lambda budget: expected if budget.name == "quick" else {},
     )
     out, data = tmp_path / "report", tmp_path / "report.json"

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from cdcsr.errors import CdcsrError
-from tests.support.small_study import HEAD, find, nominal, write_csv, write_run
+from tests.support.small_study import HEAD, beside_paper, find, nominal, write_csv, write_run
 from training.measure.statistics import Sweep, halving
 from training.report import report
 from training.study.declare.budgets import BUDGETS
@@ -18,11 +18,11 @@ from training.study.declare.grid import expected
 from training.study.report.aggregate import aggregate
 from training.study.report.cells import Table, measure
 from training.study.report.engine_differences import differences
-from training.study.report.page import beside_paper, page
+from training.study.report.page import page
 from training.study.report.plant_sweeps import sweeps
 from training.study.report.reachable import beside_demonstrator
-from training.study.report.records import load_study, read_episodes
 from training.study.report.table_parts import engines_of
+from training.study.report.records import episodes_of, load_study
 from training.study.report.tables import (
     ablation,
     comparison,
@@ -32,6 +32,7 @@ from training.study.report.tables import (
 )
 from training.study.report.tables import transfer as between_engines
 from training.study.report.tables_beyond import halvings, tasks
+from training.study.store import read_episodes
 
 
 def shown(table: Table, *names: str) -> list[tuple[Any, ...]]:
@@ -338,7 +339,7 @@ def test_episodes_all_around_the_arm_are_compared_too_and_each_run_counts_once(
 def test_episodes_are_told_in_their_order_whatever_that_of_the_rows(tmp_path: Path) -> None:
     rows = [["mujoco", "anchor", "nominal", 0, i, int(i == 2), 10 * i, 0.0] for i in (2, 0, 1)]
     write_csv(tmp_path / "nominal.csv", HEAD, rows)
-    found = read_episodes(tmp_path / "nominal.csv").where(space="anchor")
+    found = episodes_of(read_episodes(tmp_path / "nominal.csv")).where(space="anchor")
     assert found.episode.tolist() == [0, 1, 2]
     assert found.success.tolist() == [False, False, True]
     assert found.length.tolist() == [0, 10, 20]

@@ -1,0 +1,101 @@
+"""The store of results: what is packed is read back, and damage is named."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from cdcsr.errors import CdcsrError
+from tests.support.small_study import HEAD, nominal, write_csv, write_run
+from training.study.store import pack, read_results, read_table, write_store
+
+FOLLOW = ("backend", "motion", "episode", "step", "tip_error")
+FOLLOW += ("base_position_error", "base_attitude_error")
+
+
+@pytest.fixture
+def work(tmp_path: Path) -> Path:
+    """A working folder: two runs, a search and a sweep."""
+    work = tmp_path / "work"
+    first = write_run(work, "one", {"nominal": [nominal("10")]}, [(500, 0.25), (1000, 0.5)])
+    write_csv(first / "follow.csv", FOLLOW, [["mujoco", "line", 0, 25, 0.18567, 0.00003, 0.00056]])
+    second = write_run(work, "two", {"nominal": [nominal("111")]})
+    rows = [["mujoco", "anchor", "nominal", 0.5, i, 1, 300 - i, 0.02934] for i in range(3)]
+    write_csv(second / "workspace.csv", HEAD, rows)
+    search = work / "spatter"
+    search.mkdir()
+    (search / "search.json").write_text(json.dumps({"controller": "c", "rounds": 3}))
+    write_csv(search / "targets.csv", ["episode", "x", "reached"], [[0, 0.1234, 0.5]])
+    write_csv(work / "policy.csv", HEAD, rows)
+    return work
+
+
+def test_what_is_packed_is_what_was_measured(work: Path, tmp_path: Path) -> None:
+    store = tmp_path / "store"
+    assert pack(work, store) == 2
+    before, after = read_results(work), read_results(store)
+    assert [*after] == ["one", "two"]
+    for name, run in after.items():
+        assert run.record == before[name].record
+        assert run.evaluations.keys() == before[name].evaluations.keys()
+        for one, columns in run.evaluations.items():
+            for column, values in before[name].evaluations[one].items():
+                np.testing.assert_array_equal(columns[column], values)
+    assert after["one"].metrics["success_rate"].tolist() == [0.25, 0.5]
+    follow = after["one"].follow
+    assert follow is not None
+    sample = ["mujoco", "line", 0, 25, 0.18567, 0.00003, 0.00056]
+    assert [follow[name].tolist()[0] for name in FOLLOW] == sample
+    assert after["two"].evaluations["workspace"]["distance"].tolist() == [0.02934] * 3
+    assert (after["one"].episodes("nominal"), after["one"].episodes("plants")) == (2, 0)
+    assert read_table(store / "searches.parquet")["x"].tolist() == [0.1234]
+    assert json.loads((store / "searches.jsonl").read_text())["name"] == "spatter"
+    assert read_table(store / "sweeps.parquet")["name"].tolist() == ["policy"] * 3
+
+
+def test_packing_adds_to_the_same_policy_and_replaces_another(work: Path, tmp_path: Path) -> None:
+    store, more = tmp_path / "store", tmp_path / "more"
+    pack(work, store)
+    folder = write_run(more, "two", {"plants": [nominal("1")]})
+    pack(more, store)
+    assert [*read_results(store)["two"].evaluations] == ["nominal", "plants", "workspace"]
+    record = json.loads((folder / "run.json").read_text())
+    (folder / "run.json").write_text(json.dumps({**record, "policy": "another"}))
+    pack(more, store)
+    runs = read_results(store)
+    assert [*runs["two"].evaluations] == ["plants"]
+    assert [*runs["one"].evaluations] == ["nominal"]
+    assert read_table(store / "sweeps.parquet")["name"].tolist() == ["policy"] * 3
+
+
+@pytest.mark.parametrize(
+    ("file", "content", "message"),
+    [
+        ("episodes.parquet", b"PAR1 no longer", "episodes.parquet is damaged"),
+        ("runs.jsonl", b"{", "runs.jsonl is damaged"),
+        ("runs.jsonl", b"[]\n", "a line has no name"),
+        ("runs.jsonl", b'{"name": "two"}\n', "lacks the run one"),
+    ],
+)
+def test_damage_is_one_clear_line(
+    work: Path, tmp_path: Path, file: str, content: bytes, message: str
+) -> None:
+    store = tmp_path / "store"
+    pack(work, store)
+    (store / file).write_bytes(content)
+    with pytest.raises(CdcsrError, match=message) as error:
+        read_results(store)
+    assert "\n" not in str(error.value)
+
+
+def test_a_missing_column_is_named(work: Path, tmp_path: Path) -> None:
+    runs = read_results(work)
+    for run in runs.values():
+        for columns in run.evaluations.values():
+            del columns["length"]
+    write_store(tmp_path / "store", runs)
+    with pytest.raises(CdcsrError, match="no column length"):
+        read_results(tmp_path / "store")
