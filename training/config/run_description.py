@@ -18,6 +18,8 @@ the action rate, the updates and rollouts of the clone, Anchor's place and size,
 the servo, the slider or the cables' radius. `tuned` is what learns well here."""
 RENAMED = {"paper": "paper-reading"}
 """Names of presets in older files."""
+NEAREST = "nearest"
+"""The algorithm of a run that trains nothing: the nearest demonstration, replayed open loop."""
 SCRIPTED = "jacobian"
 """The algorithm of a run that trains nothing: the scripted demonstrator."""
 Changes = tuple[tuple[str, object], ...]
@@ -73,7 +75,7 @@ class RunDescription:
     @property
     def trains(self) -> bool:
         """Whether there is anything to train."""
-        return self.algorithm != SCRIPTED
+        return self.algorithm not in (SCRIPTED, NEAREST)
 
     @property
     def name(self) -> str:

@@ -9,7 +9,7 @@ from itertools import product
 from cdcsr.errors import CdcsrError, unknown_choice
 from cdcsr.simulation.engines import backend_names
 from training.algorithms.registry import ALGORITHMS
-from training.config.run_description import SCRIPTED, Changes, PresetName, RunDescription
+from training.config.run_description import NEAREST, SCRIPTED, Changes, PresetName, RunDescription
 from training.study.declare.budgets import Budget
 from training.study.declare.learner_changes import (
     FASTER,
@@ -105,7 +105,11 @@ def _scripted(*evaluations: str, task: str = "reach", space: str = "anchor") -> 
 EXPERIMENTS = {
     "table2": Experiment(
         "Table II and Fig. 3: every method in the three spaces.",
-        [_scripted(), *(_run(name, space) for space, name in product(SPACES, METHODS))],
+        [
+            _scripted(),
+            Cell(RunDescription(algorithm=NEAREST), ("nominal",), 0),
+            *(_run(name, space) for space, name in product(SPACES, METHODS)),
+        ],
     ),
     "fig4": Experiment(
         "Fig. 4: BATD3 without each of its parts.",

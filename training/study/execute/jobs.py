@@ -173,7 +173,7 @@ def _work(job: Job, missing: list[str], out: Path, folder: Path) -> None:
     import torch
 
     from cdcsr.robot.description import load_robot
-    from controllers.jacobian import JacobianController
+    from controllers.registry import SCRIPTED
     from training.study.execute.evaluations import EVALUATIONS, Subject
 
     torch.set_num_threads(1)
@@ -194,7 +194,7 @@ def _work(job: Job, missing: list[str], out: Path, folder: Path) -> None:
             write_bytes(folder / METRICS, (out / METRICS).read_bytes())
     else:
         robot = load_robot(ROBOT)
-        subject = Subject(spec, JacobianController(robot), robot)
+        subject = Subject(spec, SCRIPTED[spec.algorithm](robot), robot)
     for name in missing:
         print(f"{job.name}: {name}", flush=True)
         EVALUATIONS[name].write(folder / f"{name}.csv", subject, job.budget.episodes)

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from cdcsr.errors import CdcsrError
 from training.algorithms.registry import algorithm_order
-from training.config.run_description import SCRIPTED, RunDescription
+from training.config.run_description import NEAREST, SCRIPTED, RunDescription
 from training.study.store import Columns, StoredRun, read_results
 
 Array = NDArray[np.float64]
@@ -144,7 +144,7 @@ def grouped(runs: Iterable[Run], *ignore: str) -> dict[RunDescription, list[Run]
 def at_home(runs: Sequence[Run], space: str) -> list[Run]:
     """Return the runs trained in a space; scripted controllers count in every space."""
     own = [run for run in runs if run.setting.space == space]
-    return own or [run for run in runs if run.setting.algorithm == JACOBIAN][:1]
+    return own or [run for run in runs if run.setting.algorithm in (JACOBIAN, NEAREST)][:1]
 
 
 def _run_of(name: str, stored: StoredRun) -> Run:
