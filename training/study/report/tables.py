@@ -35,7 +35,6 @@ from training.study.report.records import (
     is_plain,
     is_usual,
 )
-from training.study.report.tables_beyond import CHANGES_OF_ALL
 from training.study.report.table_parts import (
     RESULT,
     basis,
@@ -47,6 +46,7 @@ from training.study.report.table_parts import (
     result,
     success,
 )
+from training.study.report.tables_beyond import CHANGES_OF_ALL
 
 COMPARED = (*(name for name, entry in ALGORITHMS.items() if not entry.ablation), JACOBIAN)
 """Rows of Table II, run or not."""

@@ -21,8 +21,8 @@ from training.study.report.engine_differences import differences
 from training.study.report.page import page
 from training.study.report.plant_sweeps import sweeps
 from training.study.report.reachable import beside_demonstrator
-from training.study.report.table_parts import engines_of
 from training.study.report.records import episodes_of, load_study
+from training.study.report.table_parts import engines_of
 from training.study.report.tables import (
     ablation,
     comparison,
