@@ -80,6 +80,7 @@ def test_methods_come_in_the_order_in_which_they_are_compared_most() -> None:
     runs = collect(["table2"], BUDGETS["quick"]).values()
     assert [spec.algorithm for spec, _ in runs] == [
         "jacobian",
+        "nearest",
         *("batd3", "bc", "clasp", "td3wd", "rlpd", "rbl", "drldr", "td3", "her") * 3,
     ]
 

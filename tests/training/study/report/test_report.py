@@ -319,7 +319,7 @@ def test_report_is_whole_and_replaces_only_reports(
         "plants": {there: ("nominal", "plants", "follow")},
     }
     monkeypatch.setattr(
-        "training.study.report.contents.expected",
+        "training.study.declare.grid.expected",
         lambda budget: expected if budget.name == "quick" else {},
     )
     out, data = tmp_path / "report", tmp_path / "report.json"
