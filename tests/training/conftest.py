@@ -12,11 +12,12 @@ import torch
 from cdcsr.robot.description import Robot, load_robot
 from cdcsr.tasks.observation import observation_size
 from tests.support.small_study import small_study
-from tests.support.tiny import FRAME_SKIP
+from tests.support.tiny import FRAME_SKIP, untrained_policy
 from training.algorithms.registry import ALGORITHMS
 from training.algorithms.td3 import TD3
 from training.commands.demonstrate import demonstrate
 from training.experience.replay import Batch
+from training.policy import Policy
 
 _SIZE = 4
 
@@ -69,6 +70,12 @@ def make(small_robot: Robot) -> Callable[..., TD3[Any]]:
         return kind(small_robot, learner, torch.Generator().manual_seed(0))
 
     return make
+
+
+@pytest.fixture
+def policy(paper: Robot) -> Policy:
+    """An untrained policy of the paper's robot."""
+    return untrained_policy(paper)
 
 
 @pytest.fixture

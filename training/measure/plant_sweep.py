@@ -161,16 +161,8 @@ def _measure(
     task: str,
 ) -> Point:
     try:
-        result = evaluate(
-            controller,
-            robot,
-            backend,
-            space,
-            episodes,
-            seed,
-            plant=axis.plant(robot, level),
-            task=task,
-        )
+        plant = axis.plant(robot, level)
+        result = evaluate(controller, robot, backend, space, episodes, seed, plant=plant, task=task)
     except Diverged as error:
         return Point(backend, space, axis, level, None, str(error).partition(";")[0], task)
     return Point(backend, space, axis, level, result, task=task)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import torch
@@ -20,39 +20,41 @@ from training.experience.mixed_replay import MixedReplay
 _META = "run"
 
 
-def save_state(
-    path: Path,
-    learner: TD3,
-    replay: MixedReplay,
-    collector: Collector,
-    generators: dict[str, np.random.Generator],
-    torch_generator: torch.Generator,
-    counters: dict[str, Any],
-) -> None:
+class Parts(NamedTuple):
+    """The parts that learning changes; a checkpoint holds all of them."""
+
+    algorithm: TD3[Any]
+    replay: MixedReplay
+    collector: Collector
+    generators: dict[str, np.random.Generator]
+    torch_generator: torch.Generator
+
+
+def save_state(path: Path, parts: Parts, counters: dict[str, Any]) -> None:
     """Write the state of a run; the file is complete or, if interrupted, still the one before."""
-    tensors: dict[str, torch.Tensor] = {"torch_generator": torch_generator.get_state()}
-    for name, module in _modules(learner).items():
+    tensors: dict[str, torch.Tensor] = {"torch_generator": parts.torch_generator.get_state()}
+    for name, module in _modules(parts.algorithm).items():
         tensors |= {f"{name}.{key}": value for key, value in module.state_dict().items()}
-    for name, optimizer in _optimizers(learner).items():
+    for name, optimizer in _optimizers(parts.algorithm).items():
         for i, state in optimizer.state_dict()["state"].items():
             tensors |= {f"{name}.{i}.{key}": torch.as_tensor(value) for key, value in state.items()}
     # Rows of the ring that hold something; slices share memory, so nothing is copied here.
-    for name, buffer in replay.buffers.items():
+    for name, buffer in parts.replay.buffers.items():
         tensors |= {
             f"{name}.{key}": torch.from_numpy(rows[: buffer.size])
             for key, rows in buffer.rows.items()
         }
     tensors |= {
         f"env.{key}": torch.from_numpy(np.asarray(value))
-        for key, value in collector.state_arrays().items()
+        for key, value in parts.collector.state_arrays().items()
     }
     meta = {
         "counters": counters,
         "replays": {
-            name: [buffer.position, buffer.size] for name, buffer in replay.buffers.items()
+            name: [buffer.position, buffer.size] for name, buffer in parts.replay.buffers.items()
         },
-        "updates": learner.updates,
-        "generators": {name: g.bit_generator.state for name, g in generators.items()},
+        "updates": parts.algorithm.updates,
+        "generators": {name: g.bit_generator.state for name, g in parts.generators.items()},
     }
     temporary = path.with_name(f".{path.name}.new")
     save_file(
@@ -63,14 +65,7 @@ def save_state(
     temporary.replace(path)
 
 
-def load_state(
-    path: Path,
-    learner: TD3,
-    replay: MixedReplay,
-    collector: Collector,
-    generators: dict[str, np.random.Generator],
-    torch_generator: torch.Generator,
-) -> dict[str, Any]:
+def load_state(path: Path, parts: Parts) -> dict[str, Any]:
     """Put a run back to the state in a file; returns its counters.
 
     Raises:
@@ -81,26 +76,26 @@ def load_state(
             names = list(file.keys())
             tensors = {name: file.get_tensor(name) for name in names}
             meta = json.loads(file.metadata()[_META])
-        for name, module in _modules(learner).items():
+        for name, module in _modules(parts.algorithm).items():
             module.load_state_dict(_below(tensors, f"{name}."))
-        for name, optimizer in _optimizers(learner).items():
+        for name, optimizer in _optimizers(parts.algorithm).items():
             state: dict[int, dict[str, torch.Tensor]] = {}
             for key, value in _below(tensors, f"{name}.").items():
                 index, field = key.split(".")
                 state.setdefault(int(index), {})[field] = value
             optimizer.load_state_dict({**optimizer.state_dict(), "state": state})
-        for name, buffer in replay.buffers.items():
+        for name, buffer in parts.replay.buffers.items():
             buffer.position, buffer.size = meta["replays"][name]
             for key, rows in buffer.rows.items():
                 rows[: buffer.size] = tensors[f"{name}.{key}"].numpy()
-        learner.updates = meta["updates"]
+        parts.algorithm.updates = meta["updates"]
         arrays: dict[str, NDArray[Any]] = {
             key: value.numpy() for key, value in _below(tensors, "env.").items()
         }
-        collector.load_state_arrays(arrays)
-        for name, generator in generators.items():
+        parts.collector.load_state_arrays(arrays)
+        for name, generator in parts.generators.items():
             generator.bit_generator.state = meta["generators"][name]
-        torch_generator.set_state(tensors["torch_generator"])
+        parts.torch_generator.set_state(tensors["torch_generator"])
     except (OSError, SafetensorError, KeyError, ValueError, RuntimeError, TypeError) as error:
         reason = str(error).split("\n")[0]
         raise CdcsrError(
@@ -116,17 +111,17 @@ def _below(tensors: dict[str, torch.Tensor], prefix: str) -> dict[str, torch.Ten
     }
 
 
-def _modules(learner: TD3) -> dict[str, torch.nn.Module]:
+def _modules(algorithm: TD3[Any]) -> dict[str, torch.nn.Module]:
     return {
-        "actor": learner.actor,
-        "critics": learner.critics,
-        "target_actor": learner.target_actor,
-        "target_critics": learner.target_critics,
+        "actor": algorithm.actor,
+        "critics": algorithm.critics,
+        "target_actor": algorithm.target_actor,
+        "target_critics": algorithm.target_critics,
     }
 
 
-def _optimizers(learner: TD3) -> dict[str, torch.optim.Optimizer]:
+def _optimizers(algorithm: TD3[Any]) -> dict[str, torch.optim.Optimizer]:
     return {
-        "actor_optimizer": learner.actor_optimizer,
-        "critic_optimizer": learner.critic_optimizer,
+        "actor_optimizer": algorithm.actor_optimizer,
+        "critic_optimizer": algorithm.critic_optimizer,
     }

@@ -7,7 +7,7 @@ from collections import deque
 from collections.abc import Iterator
 from contextlib import contextmanager
 from functools import partial
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 import torch
@@ -27,7 +27,7 @@ from training.experience.collector import Collector, FinishedEpisode, exploratio
 from training.experience.mixed_replay import MixedReplay
 from training.networks.actor import Actor
 from training.policy import Policy, load_policy
-from training.run.checkpoint import load_state, save_state
+from training.run.checkpoint import Parts, load_state, save_state
 from training.run.metrics import Meter, Metrics
 from training.run.setup import Setup, as_tensor
 from training.run.train_options import RUN_FOLDER, Train, read_older
@@ -52,16 +52,6 @@ def train(config: Train) -> Policy:
     older = partial(read_older, run=config, path=config.out / RUN_FOLDER.record)
     with RUN_FOLDER.claim(config.out, setup.identity(), older, config.force):
         return Run(setup).carry_out()
-
-
-class Parts(NamedTuple):
-    """The parts that learning changes; a checkpoint holds all of them."""
-
-    algorithm: TD3[Any]
-    replay: MixedReplay
-    collector: Collector
-    generators: dict[str, np.random.Generator]
-    torch_generator: torch.Generator
 
 
 class Run:
@@ -113,7 +103,7 @@ class Run:
         # Begin, or resume from the checkpoint.
         state, done_before, recent = self.folder / _STATE, 0, deque[bool](maxlen=200)
         if state.exists():
-            counters = load_state(state, *parts)
+            counters = load_state(state, parts)
             done_before, self._minutes_before = counters["update"], counters["minutes"]
             recent.extend(bool(success) for success in counters["recent"])
         else:
@@ -150,7 +140,7 @@ class Run:
                     }
                     metrics.add(self._measure(algorithm.policy, counters, meter))
                     if not done:
-                        save_state(state, *parts, counters)
+                        save_state(state, parts, counters)
         metrics.close()
         env.close()
         if stopped:

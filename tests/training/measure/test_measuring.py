@@ -11,11 +11,10 @@ from numpy.typing import NDArray
 
 from cdcsr.envs.disturbances import Disturbances
 from cdcsr.envs.gym_env import TaskVectorEnv
-from cdcsr.robot.description import Robot, load_robot
+from cdcsr.robot.description import Robot
 from cdcsr.simulation.contract import Simulation
 from controllers.jacobian import JacobianController
 from tests.support.controllers import Still
-from tests.support.tiny import untrained_policy
 from training.measure import evaluation
 from training.measure import plant_sweep as sweeps
 from training.measure import transfer_matrix as transfer
@@ -26,21 +25,6 @@ from training.measure.sweep_table import between_plants, differences, format_swe
 from training.policy import Policy
 
 Array = NDArray[np.float64]
-
-
-@pytest.fixture(scope="module")
-def paper() -> Robot:
-    return load_robot("paper")
-
-
-@pytest.fixture(scope="module")
-def small() -> Robot:
-    return load_robot("planar-single")
-
-
-@pytest.fixture
-def policy(paper: Robot) -> Policy:
-    return untrained_policy(paper)
 
 
 def result(successes: int, total: int = 4, length: int = 100) -> Result:
@@ -105,11 +89,11 @@ def test_failed_episodes_are_named() -> None:
 @pytest.mark.parametrize(
     ("task", "steps"), [("reach", 250), ("capture", 500), ("follow-line", 1000)]
 )
-def test_a_failure_counts_in_full_for_its_task(task: str, steps: int, small: Robot) -> None:
+def test_a_failure_counts_in_full_for_its_task(task: str, steps: int, small_robot: Robot) -> None:
     """50 steps an action, and on a plant of half the time step 100 of its own."""
-    for plant in (None, AXES["time_step"].plant(small, 0.5)):
+    for plant in (None, AXES["time_step"].plant(small_robot, 0.5)):
         found = evaluate(
-            Still(), small, "mujoco", "anchor", 2, frame_skip=50, task=task, plant=plant
+            Still(), small_robot, "mujoco", "anchor", 2, frame_skip=50, task=task, plant=plant
         )
         assert not found.success.any()
         assert found.length.tolist() == [steps] * 2
@@ -142,35 +126,42 @@ def test_centers_and_frame_skip_are_the_controllers_unless_given(
 
 
 def test_a_plant_adds_its_delay_to_the_disturbances(
-    made: list[dict[str, Any]], small: Robot
+    made: list[dict[str, Any]], small_robot: Robot
 ) -> None:
     noise = Disturbances(action_noise=0.1, observation_delay=1)
-    for plant in (None, ActualPlant(small, observation_delay=4)):
+    for plant in (None, ActualPlant(small_robot, observation_delay=4)):
         evaluate(
-            Still(), small, "mujoco", "anchor", 1, frame_skip=50, disturbances=noise, plant=plant
+            Still(),
+            small_robot,
+            "mujoco",
+            "anchor",
+            1,
+            frame_skip=50,
+            disturbances=noise,
+            plant=plant,
         )
     late = Disturbances(action_noise=0.1, observation_delay=4)
     assert [options["disturbances"] for options in made] == [noise, late]
 
 
 def test_soft_cables_leave_the_engines_other_settings_alone(
-    small: Robot, monkeypatch: pytest.MonkeyPatch
+    small_robot: Robot, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     told: list[Any] = []
     monkeypatch.setattr(
         Simulation, "use_own_settings", lambda _, numbers=True: told.append(numbers)
     )
-    for kind in {type(TaskVectorEnv(1, small).simulation)}:
+    for kind in {type(TaskVectorEnv(1, small_robot).simulation)}:
         monkeypatch.setattr(kind, "use_own_settings", lambda _, numbers=True: told.append(numbers))
     for name, level in (("link_mass", 2.0), ("cable_softness", 2.0), ("engine_defaults", 1.0)):
         evaluate(
             Still(),
-            small,
+            small_robot,
             "mujoco",
             "anchor",
             1,
             frame_skip=50,
-            plant=AXES[name].plant(small, level),
+            plant=AXES[name].plant(small_robot, level),
         )
     assert told == [False, True]
 

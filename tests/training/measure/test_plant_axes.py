@@ -22,11 +22,6 @@ both = pytest.mark.parametrize("backend", backend_names())
 
 
 @pytest.fixture(scope="module")
-def paper() -> Robot:
-    return load_robot("paper")
-
-
-@pytest.fixture(scope="module")
 def policy() -> Policy:
     return find_policy("batd3-spatter-mujoco")
 

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from cdcsr.errors import CdcsrError, Diverged
-from cdcsr.robot.description import Robot, load_robot
+from cdcsr.robot.description import Robot
 from tests.support.controllers import Still
 from training.commands.sweep import sweep as command
 from training.config.run_description import SCRIPTED, RunDescription
@@ -21,11 +21,6 @@ from training.measure.plant_axes import AXES, ActualPlant
 from training.measure.plant_sweep import Point, directions, halvings, sweep
 from training.measure.sweep_table import between_engines, differences, format_sweep
 from training.study.execute import evaluations
-
-
-@pytest.fixture(scope="module")
-def paper() -> Robot:
-    return load_robot("paper")
 
 
 def _result(success: list[bool], distance: float = 0.5, length: int = 100) -> Result:

@@ -11,12 +11,12 @@ import pytest
 from numpy.typing import NDArray
 
 from cdcsr.envs.disturbances import Disturbances
-from cdcsr.robot.description import Robot, load_robot
+from cdcsr.robot.description import Robot
 from cdcsr.simulation.contract import State
 from cdcsr.tasks.spaces import make_space
 from cdcsr.tasks.target_motion import make_motion
 from controllers.controller import Controller, Target
-from tests.support.tiny import CENTERS, untrained_policy
+from tests.support.tiny import CENTERS
 from training.config.run_description import RunDescription
 from training.config.seeds import TEST_SEED
 from training.measure import evaluation
@@ -31,16 +31,6 @@ from training.study.report.records import episodes_of
 from training.study.store import FOLLOW_KINDS, read_csv, read_episodes
 
 Array = NDArray[np.float64]
-
-
-@pytest.fixture(scope="module")
-def robot() -> Robot:
-    return load_robot("paper")
-
-
-@pytest.fixture
-def policy(robot: Robot) -> Policy:
-    return untrained_policy(robot)
 
 
 class Measured:
@@ -219,22 +209,22 @@ class Pulling(Controller):
 
 @pytest.mark.parametrize("motion", ["line", "circle"])
 def test_following_starts_at_the_held_out_targets_and_tells_each_error_by_its_name(
-    motion: str, robot: Robot
+    motion: str, paper: Robot
 ) -> None:
     """Against targets that are drawn and moved here, and a robot that is watched from outside."""
     controller, num = Pulling(), 2
     samples = list(
-        follow(controller, robot, "mujoco", "floating", motion, num, CENTERS, frame_skip=5)
+        follow(controller, paper, "mujoco", "floating", motion, num, CENTERS, frame_skip=5)
     )
     rng, moves = np.random.default_rng(TEST_SEED), make_motion(motion)
-    target = make_space("floating", robot, CENTERS).sample(rng, num)
+    target = make_space("floating", paper, CENTERS).sample(rng, num)
     velocity, memory = moves.begin(rng, target)
     assert [(one.episode, one.step) for one in samples] == [
         (i, 125 * k) for k in range(1, 9) for i in range(num)
     ]
     for k in range(1, 8):  # of the last nobody is asked any more
         for _ in range(125):
-            moves.advance(target, velocity, memory, robot.time_step)
+            moves.advance(target, velocity, memory, paper.time_step)
         rows = samples[num * (k - 1) : num * k]
         tip, position, quaternion = (
             x[25 * k] for x in (controller.tip, controller.position, controller.quaternion)
