@@ -27,7 +27,7 @@ from training.study.execute import evaluations, jobs
 from training.study.execute.evaluations import EPISODE_COLUMNS, EVALUATIONS, Evaluation
 from training.study.execute.jobs import Job
 
-# -- evaluations -------------------------------------------------------------------------------------------------
+# -- evaluations
 
 
 def test_the_demonstrator_follows_what_moves() -> None:
@@ -76,7 +76,7 @@ def test_a_file_with_too_few_episodes_is_not_done(tmp_path: Path) -> None:
     assert EVALUATIONS["follow"].episodes(100) == evaluations.FOLLOW_EPISODES
 
 
-# -- jobs --------------------------------------------------------------------------------------------------------
+# -- jobs
 
 
 @pytest.fixture
@@ -141,7 +141,7 @@ def test_a_record_that_is_missing_is_not_done(
 
 
 def test_results_are_of_one_policy(tmp_path: Path, quick_evaluation: Counter[str]) -> None:
-    """Where results went to another machine without the policy, which is then trained anew, and rounded otherwise."""
+    """Results without their policy: it is trained anew, and rounds differently elsewhere."""
     runs, results = tmp_path / "runs", tmp_path / "results"
     job, both = tiny_job(), tiny_job(evaluations=("nominal", "disturbances"))
     record = results / job.name / "run.json"
@@ -229,7 +229,7 @@ def test_a_misspelt_name_is_said_before_the_work(tmp_path: Path, job: Job, messa
     assert list(tmp_path.iterdir()) == []
 
 
-# -- the command -------------------------------------------------------------------------------------------------
+# -- the command
 
 
 def test_the_command_lists_and_refuses(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

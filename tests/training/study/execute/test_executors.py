@@ -1,4 +1,4 @@
-"""What executors say of the work that is left, of jobs that failed, and when a job is tried again."""
+"""Executors: the work that is left, jobs that failed, and when a job is tried again."""
 
 from __future__ import annotations
 
@@ -36,7 +36,8 @@ def test_what_is_left_is_guessed_by_algorithm_and_shared_by_the_slots(
     ):
         progress.done(job, "done", minutes)
         said.append(capsys.readouterr().out.strip().partition(": done")[2])
-    # Nothing is known; two of 20 minutes and one that is like those known; two of 20; one of 30, the mean of two.
+    # Nothing is known; two of 20 minutes and one like those known; two of 20; one of 30, the mean
+    # of two.
     assert said == [
         "",
         "; about 30.0 min left",
@@ -60,7 +61,7 @@ def test_a_failure_is_the_end_of_the_log(tmp_path: Path) -> None:
 
 
 def _codes(monkeypatch: pytest.MonkeyPatch, codes: list[int]) -> list[list[str]]:
-    """Processes that end at once, with these exit codes one after the other; and the commands they were."""
+    """Processes that end at once, with these exit codes in turn; and their commands."""
     started: list[list[str]] = []
 
     def start(command: list[str], **_: Any) -> SimpleNamespace:
@@ -97,7 +98,7 @@ class LostError(Exception):
 
 
 class Cluster:
-    """In place of Ray: tasks are done when they are waited for, last first, and end as is written down."""
+    """Stands in for Ray: tasks end when they are waited for, last first, as is written down."""
 
     exceptions = SimpleNamespace(RayError=LostError)
 

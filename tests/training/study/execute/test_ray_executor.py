@@ -36,7 +36,8 @@ def _executor(jobs: list[Job], folder: Path, address: str) -> subprocess.Popen[s
     code = (
         "import sys; from pathlib import Path; from training.study.execute.jobs import Job; "
         "from training.study.execute.ray_executor import carry_out_on_ray; "
-        "o = carry_out_on_ray([Job.from_json(j) for j in sys.argv[4:]], Path(sys.argv[1]), Path(sys.argv[2]),"
+        "jobs = [Job.from_json(j) for j in sys.argv[4:]];"
+        "o = carry_out_on_ray(jobs, Path(sys.argv[1]), Path(sys.argv[2]),"
         " sys.argv[3]); print('failed', o.failed); sys.exit(bool(o.failed))"
     )
     folders = [str(folder / "runs"), str(folder / "results")]
@@ -58,7 +59,7 @@ def test_a_lost_node_loses_nothing_and_nothing_runs_twice(tmp_path: Path, cluste
     jobs = [replace(_JOB, spec=replace(_JOB.spec, seed=seed)) for seed in range(4)]
     runs, results = tmp_path / "runs", tmp_path / "results"
     process = _executor(jobs, tmp_path, cluster.address)
-    # Once the first run is finished and two others have come as far as their first checkpoint, a node dies.
+    # Once the first run is finished and two others have a checkpoint, a node dies.
     deadline = time.monotonic() + 400
     while not list(results.glob("*/run.json")) or len(list(runs.glob("*/state.safetensors"))) < 2:
         assert time.monotonic() < deadline
@@ -70,7 +71,7 @@ def test_a_lost_node_loses_nothing_and_nothing_runs_twice(tmp_path: Path, cluste
     assert "failed {}" in _ends(process)
     assert all(job.is_done(results) for job in jobs)
     assert all(path.stat().st_mtime_ns == before for path, before in finished.items())
-    # Every run began once; the one of the lost node went on from its checkpoint, in another process.
+    # Every run began once; that of the lost node was resumed from its checkpoint elsewhere.
     logs = [(runs / f"{job.name}.log").read_text() for job in jobs]
     points = [text.count("update ") for text in logs]
     begun = [text.count("Recording ") for text in logs]

@@ -135,9 +135,10 @@ def test_two_jobs_side_by_side_and_one_that_fails(
 def test_the_jobs_of_a_killed_executor_end_and_are_taken_over(tmp_path: Path) -> None:
     job = tiny_job(100_000)
     code = (
-        "import signal, sys; from pathlib import Path; from training.study.execute.jobs import Job; "
+        "import signal, sys; from pathlib import Path; "
+        "from training.study.execute.jobs import Job; "
         "from training.study.execute.local import carry_out_here; "
-        # Tests that a shell runs in the background have Ctrl-C ignored, and their children inherit that.
+        # A shell's background processes ignore Ctrl-C, and their children inherit that.
         "signal.signal(signal.SIGINT, signal.default_int_handler); "
         "carry_out_here([Job.from_json(sys.argv[1])], Path(sys.argv[2]), Path(sys.argv[3]), 1)"
     )

@@ -15,7 +15,7 @@ def test_the_demonstrator_counts_as_any_run_in_all_spaces_or_in_none(tmp_path: P
         lost = [("mujoco", space, "packet_loss", 1, "1000")]
         run = {"nominal": [nominal("1100", space)], "disturbances": lost}
         write_run(tmp_path, f"batd3-{space}", run, space=space)
-    # It asks the simulation and not the channel, so that nothing is lost to it; it is disturbed in Anchor alone.
+    # It asks the simulation, so it loses no packet; it is disturbed in Anchor alone.
     lost = [("mujoco", "anchor", "packet_loss", 1, "1111")]
     run = {"nominal": [nominal("1111", space) for space in spaces], "disturbances": lost}
     write_run(tmp_path, "jacobian", run, algorithm="jacobian")

@@ -1,4 +1,4 @@
-"""Near a demonstration and far from all: distances as the environment has the targets, cells by hand."""
+"""Near a demonstration and far from all: the environment's targets, cells by hand."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ ROBOT = load_robot("paper")
     ("space", "task"), [("anchor", "reach"), ("anchor", "capture-drift"), ("spatter", "reach")]
 )
 def test_distances_are_those_of_the_targets_that_are_measured_on(space: str, task: str) -> None:
-    """The demonstrations' targets are a recording's own, the others those an environment draws for an evaluation."""
+    """The targets are those of a recording, and those that an environment draws."""
     with_ten = TaskVectorEnv(10, ROBOT, "mujoco", "anchor", autoreset_mode="Disabled")
     episodes, _ = record(JacobianController(ROBOT), with_ten, 10, seed=0)
     shown = np.array([episode.target for episode in episodes])
@@ -41,7 +41,7 @@ def test_distances_are_those_of_the_targets_that_are_measured_on(space: str, tas
 
 @pytest.fixture
 def study(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    """Four targets, of which two are within 30 mm of a demonstration, none to 60 mm, one to 90 mm, and one farther."""
+    """Four targets: two within 30 mm of a demonstration, none to 60 mm, one to 90 mm, one farther."""
     monkeypatch.setattr(module, "distances", lambda *_: np.array([0.089, 0.0, 0.029, 0.09]))
     for seed, outcomes in enumerate(("0110", "0111")):
         write_run(tmp_path, f"a{seed}", {"nominal": [nominal(outcomes)]}, seed=seed)

@@ -40,7 +40,8 @@ def test_the_papers_numbers_are_the_printed_ones() -> None:
 def test_comparison(study: Path) -> None:
     table = comparison(load_study(study))
     row = find(table, space="Anchor", algorithm="BATD3")
-    # Seeds reach 4, 3 and 1 of 4: (1 + 0.75 + 0.25) / 3. Eight of twelve episodes take 100 steps, four 250.
+    # Seeds reach 4, 3 and 1 of 4: (1 + 0.75 + 0.25) / 3. Eight of twelve episodes take 100 steps,
+    # four 250.
     assert row["κ"].value == pytest.approx(2 / 3)
     assert (row["κ"].low, row["κ"].high) == pytest.approx((0.25, 1.0))
     assert (row["l_epi"].mean, row["l_epi"].std) == pytest.approx((150.0, 150 * (2 / 9) ** 0.5))
@@ -72,7 +73,8 @@ def test_seeds_of_other_settings_are_not_mixed_in(study: Path) -> None:
 
 def test_only_what_somebody_reaches_counts_beside_the_demonstrator(tmp_path: Path) -> None:
     study = tmp_path / "study"
-    # Nobody reaches the last target; the third only one that is no seed of this setting, in the other engine.
+    # No run reaches the last target; one of another setting reaches the third, in the other
+    # engine.
     write_run(study, "own", {"nominal": [nominal("1100"), nominal("1100", backend="pybullet")]})
     write_run(
         study,
@@ -142,7 +144,7 @@ def test_robustness_takes_level_zero_from_the_nominal_evaluation(study: Path) ->
 
 
 def test_robustness_says_what_nobody_reaches(study: Path) -> None:
-    # Under noise this run reaches the last target only, and all others the first only: together two of four.
+    # Under noise this run reaches the last target only, the others the first only: two of four.
     noise = [("mujoco", "anchor", "action_noise", 0.5, "0001")]
     write_run(
         study,
@@ -230,7 +232,8 @@ def test_the_three_spaces_together_are_one_row_of_the_seeds_that_all_have(tmp_pa
     assert mean.value == pytest.approx(3.25 / 6)
     assert middle.value == pytest.approx(np.mean([0.75, 0.75, 0.5, 0.25]))
     assert (seeds, middle.over) == (2, "seeds")
-    # Redrawn in each space by itself, a sample may have the best seed of each; the better one has 1.75 / 3 in all.
+    # Redrawn in each space by itself, a sample may have the best seed of each; the better one has
+    # 1.75 / 3 in all.
     assert mean.high > 1.75 / 3 + 0.01
 
 
@@ -284,7 +287,8 @@ def test_beside_the_paper(study: Path) -> None:
     row = find(two, algorithm="BATD3", space="Anchor")
     assert (row["paper κ"], row["seeds"]) == ("0.76", 3)
     assert row["command"] == (
-        "`python -m training.experiments table2 --budget quick --only 'batd3-tuned_anchor_mujoco_d10_u1000_s*'`"
+        "`python -m training.experiments table2 --budget quick --only "
+        "'batd3-tuned_anchor_mujoco_d10_u1000_s*'`"
     )
     assert " fig4 " in find(two, algorithm="BATD3", space="Spatter")["command"]
     other, *_ = beside_paper(

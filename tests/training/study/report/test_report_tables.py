@@ -51,7 +51,7 @@ def lengths(
     write_csv(folder / "nominal.csv", HEAD, rows)
 
 
-# -- which runs --------------------------------------------------------------------------------------------------
+# -- which runs
 
 
 def test_demonstrations_are_the_only_difference_in_their_table(tmp_path: Path) -> None:
@@ -119,7 +119,7 @@ def test_other_numbers_of_demonstrations_are_not_the_papers(tmp_path: Path) -> N
     assert shown(comparison(load_study(tmp_path)), "algorithm") == []
 
 
-# -- where a run was trained, and is tested -----------------------------------------------------------------------
+# -- where a run was trained, and is tested
 
 
 def test_each_run_is_measured_in_the_engine_it_was_trained_in(tmp_path: Path) -> None:
@@ -192,7 +192,7 @@ def test_our_engines_come_before_others(tmp_path: Path) -> None:
     assert engines_of(load_study(tmp_path)) == ["mujoco", "pybullet", "another"]
 
 
-# -- all spaces together ------------------------------------------------------------------------------------------
+# -- all spaces together
 
 
 def test_methods_with_two_seeds_in_all_spaces_are_listed_best_first(tmp_path: Path) -> None:
@@ -223,7 +223,7 @@ def test_methods_with_two_seeds_in_all_spaces_are_listed_best_first(tmp_path: Pa
     ]
 
 
-# -- beside the demonstrator --------------------------------------------------------------------------------------
+# -- beside the demonstrator
 
 
 def test_lengths_are_over_the_demonstrators_in_the_same_engine_and_averaged_over_seeds(
@@ -264,11 +264,11 @@ def test_the_shortest_episodes_are_successful_ones_on_the_demonstrators_targets(
     ]
     write_csv(folder / "nominal.csv", HEAD, rows)
     row = find(beside_demonstrator(load_study(tmp_path)), algorithm="best of all runs")
-    # 100 is its own, as the 10 steps are of a failure; 60; the last target the demonstrator does not reach.
+    # 100 is its own, as the 10 steps are of a failure; 60; the demonstrator misses the last target.
     assert row["length over the demonstrator's"] == pytest.approx(160 / 220, abs=5e-4)
 
 
-# -- plants and engines -------------------------------------------------------------------------------------------
+# -- plants and engines
 
 
 def test_the_level_trained_on_is_of_the_same_space(tmp_path: Path) -> None:
@@ -333,7 +333,7 @@ def test_episodes_all_around_the_arm_are_compared_too_and_each_run_counts_once(
     assert found["as described"] == [1, 5, 3, 2, 1, "`one`, anchor, 1; `one`, workspace, 0, 2"]
 
 
-# -- the rest -----------------------------------------------------------------------------------------------------
+# -- the rest
 
 
 def test_episodes_are_told_in_their_order_whatever_that_of_the_rows(tmp_path: Path) -> None:
