@@ -29,20 +29,15 @@ SIZE = observation_size(load_robot("paper"))
 def state(tip: Array, velocity: Array, shift: Array | None = None, tilt: float = 0.0) -> State:
     """Return a state with given tips, shape (num, 3), and a base moved by `shift` in [m] and turned
     by `tilt` about y in [rad]."""
-    num, zero = len(tip), np.zeros((len(tip), 3))
+    num = len(tip)
+    resting = State(**{field.name: np.zeros((num, 3)) for field in dataclasses.fields(State)})
     turned = np.array([np.cos(tilt / 2), 0, np.sin(tilt / 2), 0])
-    return State(
-        time=np.zeros(num),
+    return dataclasses.replace(
+        resting,
         tip_position=tip,
         tip_velocity=velocity,
-        base_position=zero if shift is None else np.tile(shift, (num, 1)),
+        base_position=np.tile(np.zeros(3) if shift is None else shift, (num, 1)),
         base_quaternion=np.tile(turned, (num, 1)),
-        base_velocity=zero,
-        base_angular_velocity=zero,
-        cable_travel=zero,
-        cable_tension=zero,
-        joint_angles=zero,
-        joint_rates=zero,
     )
 
 

@@ -90,17 +90,9 @@ def compared(seconds: dict[str, float]) -> dict[str, float | None]:
 def test_speeds_in_float32_by_hand() -> None:
     found = compared(FLOAT32)
     assert found.pop("update_share_bfloat16") is None
-    assert found == pytest.approx(
-        {
-            "update_share": 1e9 / 0.020 / RATE,
-            "update_sb3_batd3": 1.5,
-            "update_sb3_td3": 1.875,
-            "update_sb3_clasp": 3.0,
-            "update_sbx_batd3": 2.0,
-            "update_sbx_td3": 2.5,
-            "update_sbx_clasp": 4.0,
-        }
-    )
+    names = [f"update_{peer}_{name}" for peer in ("sb3", "sbx") for name in TIMED]
+    speeds = dict(zip(names, (1.5, 1.875, 3.0, 2.0, 2.5, 4.0), strict=True))
+    assert found == pytest.approx({"update_share": 1e9 / 0.020 / RATE, **speeds})
     without = compared({name: value for name, value in FLOAT32.items() if name != "sbx"})
     assert [without[f"update_sbx_{name}"] for name in TIMED] == [None] * 3
 

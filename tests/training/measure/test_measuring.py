@@ -130,16 +130,8 @@ def test_a_plant_adds_its_delay_to_the_disturbances(
 ) -> None:
     noise = Disturbances(action_noise=0.1, observation_delay=1)
     for plant in (None, ActualPlant(small_robot, observation_delay=4)):
-        evaluate(
-            Still(),
-            small_robot,
-            "mujoco",
-            "anchor",
-            1,
-            frame_skip=50,
-            disturbances=noise,
-            plant=plant,
-        )
+        options = {"disturbances": noise, "plant": plant}
+        evaluate(Still(), small_robot, "mujoco", "anchor", 1, frame_skip=50, **options)
     late = Disturbances(action_noise=0.1, observation_delay=4)
     assert [options["disturbances"] for options in made] == [noise, late]
 
@@ -154,15 +146,8 @@ def test_soft_cables_leave_the_engines_other_settings_alone(
     for kind in {type(TaskVectorEnv(1, small_robot).simulation)}:
         monkeypatch.setattr(kind, "use_own_settings", lambda _, numbers=True: told.append(numbers))
     for name, level in (("link_mass", 2.0), ("cable_softness", 2.0), ("engine_defaults", 1.0)):
-        evaluate(
-            Still(),
-            small_robot,
-            "mujoco",
-            "anchor",
-            1,
-            frame_skip=50,
-            plant=AXES[name].plant(small_robot, level),
-        )
+        plant = AXES[name].plant(small_robot, level)
+        evaluate(Still(), small_robot, "mujoco", "anchor", 1, frame_skip=50, plant=plant)
     assert told == [False, True]
 
 
