@@ -8,8 +8,8 @@ import numpy as np
 
 from cdcsr.simulation.engines import engine_title
 from training.measure.statistics import pooled
+from training.study.parquet import read_table
 from training.study.report.cells import Table, Value
-from training.study.store import read_table
 
 SEARCH_COLUMNS = ("episode", "reached", "length", "best_reached", "best_length")
 SWEEP_COLUMNS = ("backend", "space", "axis", "level", "success")
