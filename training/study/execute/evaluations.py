@@ -102,7 +102,7 @@ class Evaluation:
 
 
 def nominal(subject: Subject, episodes: int) -> Iterator[Row]:
-    """Measure in every engine: reaching in all the paper's spaces, another task in its own space."""
+    """Measure in every engine: reaching in all the paper's spaces, other tasks in their own."""
     spec = subject.spec
     spaces = SPACES if spec.task == "reach" and spec.space in SPACES else (spec.space,)
     for space, backend in product(spaces, backend_names()):

@@ -19,7 +19,7 @@ DESCRIBED = "as described"
 
 
 def differences(runs: Sequence[Run]) -> Table:
-    """Count the episodes on the same plant that succeed in one engine only, by axis of the plant."""
+    """Count the episodes that succeed in one engine only on the same plant, by its axis."""
     found: dict[str, list[tuple[Run, Episodes, Episodes]]] = {}
     for run in runs:
         for axis, pair in _pairs(run):

@@ -83,7 +83,8 @@ def curve_figures(runs: Sequence[Run], out: Path) -> Iterator[tuple[str, str]]:
             length = f", {updates} updates" if updates else ""
             yield (
                 file,
-                f"{title}; preset {preset}, trained in {engine_title(engine)}{length}. {caption(part)}",
+                f"{title}; preset {preset}, trained in {engine_title(engine)}{length}."
+                f" {caption(part)}",
             )
 
 
@@ -112,8 +113,9 @@ def caption(runs: Sequence[Run]) -> str:
     minutes = np.mean([run.minutes for run in runs])
     seeds = amount(map(len, grouped(runs).values()), "seed")
     return (
-        f"Success on validation targets: mean over seeds ({seeds} a curve) and its 95 % bootstrap interval, at updates"
-        f" that all seeds have reached; {minutes:.1f} minutes a run. A level line is an algorithm without a learning"
+        f"Success on validation targets: mean over seeds ({seeds} a curve) and its 95 % bootstrap"
+        " interval, of few seeds about their range, at updates that all seeds have reached;"
+        f" {minutes:.1f} minutes a run. A level line is an algorithm without a learning"
         " curve, at its success on held-out targets."
     )
 
@@ -122,7 +124,7 @@ def aligned(runs: Sequence[Run]) -> tuple[Array, Array]:
     """The learning curves of some seeds, at the updates all of them were measured at.
 
     Returns:
-        Updates, shape (P,), and success rates, shape (seeds with a curve, P); P is 0 if there is no curve.
+        Updates, (P,), and success rates, (seeds with a curve, P); P is 0 if there is no curve.
     """
     curves = [run.curve for run in runs if run.curve]
     updates = sorted(set[float]().union(*curves).intersection(*curves))
@@ -150,7 +152,7 @@ def legend(figure: Figure, columns: int) -> None:
 
 
 def _draw(panels: Panels, path: Path, counts: bool) -> None:
-    """One panel of curves for each title; with `counts`, one more of success by the number of demonstrations.
+    """Draw a panel of curves for each title; with `counts`, also success by demonstrations.
 
     That one also has the algorithms without learning curves, which then have no panel of their own.
     """
@@ -235,7 +237,7 @@ def _by_count(axes: Axes, panels: Panels) -> None:
 
 
 def _looks(panels: Panels, counts: bool) -> dict[str, tuple[object, str]]:
-    """Color and dashes by label: of the algorithm, by the number of demonstrations, or one after the other."""
+    """Return colour and dashes by label: by algorithm, or by the number of demonstrations."""
     settings = [setting for groups in panels.values() for setting in groups]
     if counts:
         numbers = sorted({setting.num_demonstrations for setting in settings})
@@ -270,7 +272,7 @@ def _by_algorithm(setting: RunDescription) -> str:
 
 
 def by_kind(runs: Sequence[Run]) -> dict[tuple[str, str, int], list[Run]]:
-    """Runs of one figure: by preset, engine, and updates, which are 0 where they are as many as most have."""
+    """Group runs by preset, engine and updates; the usual number of updates counts as 0."""
     lengths = Counter(
         (run.setting.preset, run.setting.backend, run.setting.updates) for run in runs
     )

@@ -109,7 +109,8 @@ def nearness(runs: Sequence[Run]) -> Table:
         *COST,
     )
     note = (
-        "Held-out targets by their distance to the nearest of the ten that were demonstrated, for preset `tuned`: "
+        "Held-out targets by their distance to the nearest of the ten that were demonstrated, for"
+        " preset `tuned`: "
         "in Anchor Space some are far from all of them, which success as a whole does not show. "
     )
     seen = {run.name: run for row in rows for run in row.seeds}
@@ -142,8 +143,9 @@ def nearness_figures(runs: Sequence[Run], out: Path) -> Iterator[tuple[str, str]
         _draw(own, out / file)
         yield (
             file,
-            "Success by the distance from target to nearest demonstration, with the number of targets;"
-            f" trained in {engine_title(engine)}, {amount((len(row.seeds) for row in own), 'seed')}."
+            "Success by the distance from target to nearest demonstration, with the number of"
+            f" targets; trained in {engine_title(engine)},"
+            f" {amount((len(row.seeds) for row in own), 'seed')}."
             " Dashed: the demonstrator.",
         )
 
