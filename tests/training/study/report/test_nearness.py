@@ -41,7 +41,7 @@ def test_distances_are_those_of_the_targets_that_are_measured_on(space: str, tas
 
 @pytest.fixture
 def study(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    """Four targets: two within 30 mm of a demonstration, one to 90 mm, one farther, none to 60 mm."""
+    """Four targets: two within 30 mm of a demonstration, one to 90 mm, one farther."""
     monkeypatch.setattr(module, "distances", lambda *_: np.array([0.089, 0.0, 0.029, 0.09]))
     for seed, outcomes in enumerate(("0110", "0111")):
         write_run(tmp_path, f"a{seed}", {"nominal": [nominal(outcomes)]}, seed=seed)
