@@ -43,7 +43,7 @@ class MujocoSimulation(Simulation):
 
     engine = "mujoco"
     title = "MuJoCo"
-    capabilities = frozenset({"render", "bit_exact", "own_settings"})
+    capabilities = frozenset({"render", "bit_exact", "own_settings", "soft_cables"})
 
     def __init__(self, robot: Robot, num: int = 1, threads: int | None = None) -> None:
         super().__init__(robot, num)

@@ -24,9 +24,10 @@ Array = NDArray[np.float64]
 Ids = Sequence[int] | NDArray[np.integer] | None
 """Which copies: sorted unique indices, or None for all copies."""
 
-Capability = Literal["render", "bit_exact", "own_settings"]
+Capability = Literal["render", "bit_exact", "own_settings", "soft_cables"]
 """An ability that only some engines have. render: it has its own camera. bit_exact: the same
-commands give the same bits, also after a snapshot. own_settings: it has `use_own_settings`."""
+commands give the same bits, also after a snapshot. own_settings: it has `use_own_settings`.
+soft_cables: in its own settings cables can stretch."""
 
 
 @dataclass(frozen=True)

@@ -8,6 +8,8 @@ from math import exp, log
 
 from cdcsr.errors import CdcsrError, unknown_choice
 from cdcsr.robot.description import Robot
+from cdcsr.simulation.contract import Capability
+from cdcsr.simulation.engines import load_backend
 from cdcsr.simulation.plant import Parameters
 
 
@@ -44,8 +46,12 @@ class Axis:
     """The levels below nominal, outwards."""
     build: Callable[[Robot, float], ActualPlant]
     """Makes the plant at a level."""
-    idle: frozenset[str] = frozenset()
-    """The engines in which the plant is the same at all levels."""
+    needs: Capability | None = None
+    """An engine without this capability has the same plant at all levels."""
+
+    def acts_in(self, engine: str) -> bool:
+        """Return whether the levels differ in an engine that is installed."""
+        return self.needs is None or self.needs in load_backend(engine).capabilities
 
     @property
     def title(self) -> str:
@@ -176,12 +182,12 @@ AXES: dict[str, Axis] = {
         ),
         Axis(
             "cable_softness",
-            "recovery time and compliance of MuJoCo's own soft cables (PyBullet's do not stretch)",
+            "recovery time and compliance of the engine's own soft cables",
             "factor",
             (2.0, 4.0, 8.0, 16.0, 32.0, 64.0, 128.0),
             (),
             _softer,
-            frozenset({"pybullet"}),
+            "soft_cables",
         ),
         Axis(
             "time_step",

@@ -27,7 +27,7 @@ def differences(runs: Sequence[Run]) -> Table:
     rows: list[list[Value]] = []
     for axis in (
         DESCRIBED,
-        *(name for name, axis in AXES.items() if not axis.idle & {*backend_names()}),
+        *(name for name, axis in AXES.items() if all(map(axis.acts_in, backend_names()))),
     ):
         pairs = found.get(axis, [])
         counts = sum(

@@ -29,7 +29,7 @@ def sweeps(runs: Sequence[Run], axis: str, engine: str, space: str) -> dict[str,
         CdcsrError: the levels of a run have different episodes.
     """
     found: dict[str, Sweep] = {}
-    if engine in AXES[axis].idle:
+    if not AXES[axis].acts_in(engine):
         return found
     for run in runs:
         if "plants" not in run.evaluations:
