@@ -35,7 +35,7 @@ def parity(
     from cdcsr.errors import CdcsrError, CheckFailed
     from cdcsr.files import write_json
     from cdcsr.robot.description import load_robot
-    from cdcsr.simulation.engines import backend_names, load_backend
+    from cdcsr.simulation.engines import backend_names, chosen_backends, load_backend
     from training.measure.trajectories import demonstrator_commands
 
     if episodes < 1:
@@ -43,9 +43,7 @@ def parity(
     if seed < 0:
         raise CdcsrError(f"seed must not be negative, found {seed}.")
     description = load_robot(robot)
-    engines = {reference: load_backend(reference)}
-    others = backend_names() if backend == "all" else [backend]
-    engines |= {name: load_backend(name) for name in others if name != reference}
+    engines = {name: load_backend(name) for name in (reference, *chosen_backends(backend))}
     if len(engines) < 2:
         installed = ", ".join(backend_names())
         raise CdcsrError(

@@ -1,1 +1,1 @@
-"""Which runs the study has, and which evaluations of them."""
+"""The runs of the study, and the evaluations they need."""
