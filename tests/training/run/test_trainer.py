@@ -20,6 +20,7 @@ from cdcsr.envs.gym_env import TaskVectorEnv
 from cdcsr.errors import CdcsrError
 from cdcsr.robot.description import load_robot
 from tests.support.tiny import FRAME_SKIP, tiny_changes
+from training.algorithms.bc import BehaviourCloning
 from training.commands.demonstrate import demonstrate
 from training.experience.collector import Collector
 from training.measure.evaluation import Result
@@ -289,10 +290,10 @@ def test_a_finished_run_writes_its_summary_again_and_force_leaves_no_policy(
         (tmp_path / "run/summary.json").read_text()
     )
 
-    def interrupted(_: Run) -> None:
+    def interrupted(*_: object) -> None:
         raise KeyboardInterrupt
 
-    monkeypatch.setattr(Run, "_clone", interrupted)
+    monkeypatch.setattr(BehaviourCloning, "fit", interrupted)
     with pytest.raises(KeyboardInterrupt):
         train(dataclasses.replace(config, force=True, seed=1))
     with pytest.raises(CdcsrError, match="holds no policy"):

@@ -211,11 +211,8 @@ def test_a_card_that_lacks_something_is_damaged(
 
 
 def test_a_replay_that_does_not_fit_into_memory_is_one_line(
-    tmp_path: Path, demonstrations: Path, monkeypatch: pytest.MonkeyPatch
+    tmp_path: Path, demonstrations: Path
 ) -> None:
-    def full(*_: object) -> None:
-        raise MemoryError
-
-    monkeypatch.setattr(trainer, "MixedReplay", full)
-    with pytest.raises(CdcsrError, match="capacity 1000000 does not fit"):
-        train(config(tmp_path / "run", demonstrations, algorithm="td3"))
+    huge: dict[str, object] = {"capacity": 10**15}
+    with pytest.raises(CdcsrError, match=f"capacity {10**15} does not fit"):
+        train(config(tmp_path / "run", demonstrations, algorithm="td3", numbers=huge))
