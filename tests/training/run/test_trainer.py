@@ -256,10 +256,10 @@ def test_the_clone_alone_has_no_options_of_practice(tmp_path: Path) -> None:
 
 def test_every_run_of_the_study_can_be_trained() -> None:
     runs = collect(list(EXPERIMENTS), BUDGETS["paper"]).values()
-    for spec, _ in runs:
+    assert len(runs) > 500
+    for spec in {dataclasses.replace(spec, seed=0) for spec, _ in runs}:
         if spec.trains and ("bfloat16", True) not in spec.changes:
             Setup(train_options(spec, Path("nowhere")))
-    assert len(runs) > 500
 
 
 @pytest.mark.parametrize(
