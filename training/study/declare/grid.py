@@ -3,14 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from itertools import product
 
 from cdcsr.errors import CdcsrError, unknown_choice
 from cdcsr.simulation.engines import backend_names
 from training.algorithms.registry import ALGORITHMS
-from training.config.run_description import NEAREST, SCRIPTED, Changes, PresetName, RunDescription
+from training.config.run_description import NEAREST, SCRIPTED, RunDescription
 from training.study.declare.budgets import Budget
+from training.study.declare.experiment import Experiment, trained, untrained
 from training.study.declare.learner_changes import (
     FASTER,
     HARDER_VARIANTS,
@@ -50,88 +51,36 @@ MOVING = ("capture-drift", "capture-tumble")
 """Tasks in which the target moves. In Anchor Space."""
 
 
-@dataclass(frozen=True)
-class Cell:
-    """One training run, for every seed, and the evaluations that an experiment needs of it."""
-
-    spec: RunDescription
-    """The run; :func:`collect` sets its seed and its number of updates."""
-    evaluations: tuple[str, ...]
-    length: int
-    """Length of training, as a multiple of the budget's."""
-    every_engine: bool = False
-    """Train once in each installed engine, instead of in the run's own."""
-
-
-@dataclass(frozen=True)
-class Experiment:
-    """A part of the study."""
-
-    summary: str
-    cells: Sequence[Cell]
-    """In the order in which they are run."""
-
-
-def _run(
-    algorithm: str,
-    space: str,
-    *evaluations: str,
-    length: int = 1,
-    every_engine: bool = False,
-    task: str = "reach",
-    preset: PresetName = "tuned",
-    changes: Changes = (),
-    demonstrations: int = 10,
-    randomize: float = 0.0,
-) -> Cell:
-    spec = RunDescription(
-        algorithm=algorithm,
-        preset=preset,
-        space=space,
-        task=task,
-        num_demonstrations=demonstrations,
-        randomize=randomize,
-        changes=changes,
-    )
-    return Cell(spec, evaluations or ("nominal",), length, every_engine)
-
-
-def _scripted(*evaluations: str, task: str = "reach", space: str = "anchor") -> Cell:
-    return Cell(
-        RunDescription(algorithm=SCRIPTED, space=space, task=task), evaluations or ("nominal",), 0
-    )
-
-
 EXPERIMENTS = {
     "table2": Experiment(
         "Table II and Fig. 3: every method in the three spaces.",
         [
-            _scripted(),
-            Cell(RunDescription(algorithm=NEAREST), ("nominal",), 0),
-            *(_run(name, space) for space, name in product(SPACES, METHODS)),
+            untrained(SCRIPTED),
+            untrained(NEAREST),
+            *(trained(name, space) for space, name in product(SPACES, METHODS)),
         ],
     ),
     "fig4": Experiment(
         "Fig. 4: BATD3 without each of its parts.",
-        [_run(name, space) for space, name in product(SPACES, ABLATIONS)],
+        [trained(name, space) for space, name in product(SPACES, ABLATIONS)],
     ),
     "fig5": Experiment(
         "Fig. 5: more and fewer demonstrations, in Anchor Space.",
         [
-            _run(name, "anchor", demonstrations=count)
+            trained(name, "anchor", demonstrations=count)
             for count, name in product((10, *COUNTS), ("batd3", "bc", OURS, "td3wd"))
         ],
     ),
     "table3": Experiment(
         "Table III: trained in one space, tested in the others and in the whole workspace.",
-        [_run(name, space, "nominal", AROUND) for space, name in product(SPACES, PRACTISING)],
+        [trained(name, space, "nominal", AROUND) for space, name in product(SPACES, PRACTISING)],
     ),
     "table4": Experiment(
         "Table IV: noise on commands and on the base's position, and lost packets.",
         [
-            _scripted("nominal", "disturbances"),
+            untrained(SCRIPTED, "nominal", "disturbances"),
             *(
-                _run(name, space, "nominal", "disturbances")
+                trained(name, space, "nominal", "disturbances")
                 for space, name in product(SPACES, (*PRACTISING, "bc"))
             ),
         ],
@@ -139,11 +88,11 @@ EXPERIMENTS = {
     "fig6": Experiment(
         "Fig. 6: following a target that moves, and how far the base moves meanwhile.",
         [
-            _scripted("follow"),
-            _scripted("follow", task="capture"),
-            _scripted("nominal", "follow", task="follow-random"),
+            untrained(SCRIPTED, "follow"),
+            untrained(SCRIPTED, "follow", task="capture"),
+            untrained(SCRIPTED, "nominal", "follow", task="follow-random"),
             *(
-                _run(name, space, "nominal", "follow", task=task)
+                trained(name, space, "nominal", "follow", task=task)
                 for (task, space), name in product(
                     (
                         ("follow-random", "anchor"),
@@ -159,10 +108,10 @@ EXPERIMENTS = {
     "transfer": Experiment(
         "Every method trained in each engine, tested in all.",
         [
-            _scripted(),
-            *(_run(name, space, every_engine=True) for space, name in product(SPACES, METHODS)),
+            untrained(SCRIPTED),
+            *(trained(name, space, every_engine=True) for space, name in product(SPACES, METHODS)),
             *(
-                _run(name, space, every_engine=True, task=task)
+                trained(name, space, every_engine=True, task=task)
                 for (task, space), name in product(TASKS, TASK_METHODS)
             ),
         ],
@@ -170,9 +119,9 @@ EXPERIMENTS = {
     "plants": Experiment(
         "A plant that differs from the description, with and without domain randomization.",
         [
-            _scripted("plants"),
+            untrained(SCRIPTED, "plants"),
             *(
-                _run(name, "spatter", "nominal", "plants", randomize=scale)
+                trained(name, "spatter", "nominal", "plants", randomize=scale)
                 for name, scale in (
                     *product(PRACTISING, (0.0, 1.0)),
                     ("bc", 0.0),  # cloning has no episodes to randomize
@@ -184,9 +133,9 @@ EXPERIMENTS = {
         "Beyond the paper: the whole workspace, coming to rest on the target, a finer threshold, a"
         " still base.",
         [
-            *(_scripted(task=task, space=space) for task, space in TASKS),
+            *(untrained(SCRIPTED, task=task, space=space) for task, space in TASKS),
             *(
-                _run(name, space, task=task)
+                trained(name, space, task=task)
                 for name, (task, space) in product((*TASK_METHODS, "rbl"), TASKS)
             ),
         ],
@@ -198,9 +147,12 @@ EXPERIMENTS = {
             cell
             for changes in (SYMMETRIC, ())
             for cell in (
-                *(_run(name, AROUND, changes=changes) for name in (OURS, "batd3", "bc", "td3wd")),
                 *(
-                    _run(name, space, "nominal", AROUND, changes=changes)
+                    trained(name, AROUND, changes=changes)
+                    for name in (OURS, "batd3", "bc", "td3wd")
+                ),
+                *(
+                    trained(name, space, "nominal", AROUND, changes=changes)
                     for space, name in product(("spatter", "anchor"), (OURS, "batd3"))
                 ),
             )
@@ -210,7 +162,7 @@ EXPERIMENTS = {
         "Wider targets in training, with and without mirror symmetry, and neither: in Anchor or"
         " Floating.",
         [
-            _run(name, space, "nominal", AROUND, changes=changes)
+            trained(name, space, "nominal", AROUND, changes=changes)
             for changes, space, name in product(
                 (PRACTISED, (*PRACTISED, *SYMMETRIC), ()), ("anchor", "floating"), (OURS, "batd3")
             )
@@ -219,26 +171,26 @@ EXPERIMENTS = {
     "ours": Experiment(
         "CLASP without each of its parts, and BATD3 with CLASP's numbers.",
         [
-            *(_run(OURS, "spatter", changes=changes) for changes in ((), *OURS_ABLATIONS)),
-            _run("batd3", "spatter", changes=ours_for("reach")),
+            *(trained(OURS, "spatter", changes=changes) for changes in ((), *OURS_ABLATIONS)),
+            trained("batd3", "spatter", changes=ours_for("reach")),
         ],
     ),
     "rivals": Experiment(
         "Variants of the other methods; RLPD with four updates a step, also four times as long.",
         [
             *(
-                _run(name, "spatter", changes=changes)
+                trained(name, "spatter", changes=changes)
                 for name, variant in RIVAL_VARIANTS
                 for changes in ((), variant)
             ),
-            *(_run("rlpd", space, changes=MANY_UPDATES) for space in SPACES),
-            _run("rlpd", "spatter", changes=MANY_UPDATES, length=4),
+            *(trained("rlpd", space, changes=MANY_UPDATES) for space in SPACES),
+            trained("rlpd", "spatter", changes=MANY_UPDATES, length=4),
         ],
     ),
     "harder": Experiment(
         "Capturing and following: variants of CLASP, and other methods with CLASP's numbers.",
         [
-            _run(name, "anchor", task=task, changes=changes)
+            trained(name, "anchor", task=task, changes=changes)
             for task in HARDER
             for name, changes in (
                 (OURS, ()),
@@ -254,13 +206,13 @@ EXPERIMENTS = {
     "moving": Experiment(
         "Capturing a target that drifts or tumbles; CLASP also with four times the updates.",
         [
-            *(_scripted(task=task) for task in MOVING),
+            *(untrained(SCRIPTED, task=task) for task in MOVING),
             *(
                 cell
                 for task in MOVING
                 for cell in (
-                    *(_run(name, "anchor", task=task) for name in TASK_METHODS),
-                    _run(OURS, "anchor", task=task, length=4),
+                    *(trained(name, "anchor", task=task) for name in TASK_METHODS),
+                    trained(OURS, "anchor", task=task, length=4),
                 )
             ),
         ],
@@ -268,7 +220,7 @@ EXPERIMENTS = {
     "bfloat16": Experiment(
         "Matrix products in bfloat16 and in float32: BATD3 and CLASP in the three spaces.",
         [
-            _run(name, space, changes=changes)
+            trained(name, space, changes=changes)
             for space, name, changes in product(SPACES, PRACTISING, (FASTER, ()))
         ],
     ),
@@ -277,11 +229,11 @@ EXPERIMENTS = {
         " space.",
         [
             *(
-                _run(name, "spatter", "nominal", "disturbances", length=4, changes=changes)
+                trained(name, "spatter", "nominal", "disturbances", length=4, changes=changes)
                 for name, changes in ((OURS, HINDSIGHT_ONLY), ("batd3", ()), (OURS, ()))
             ),
             *(
-                _run(OURS, space, "nominal", "disturbances", AROUND, length=4, changes=changes)
+                trained(OURS, space, "nominal", "disturbances", AROUND, length=4, changes=changes)
                 for changes, space in (
                     *((PRACTISED, space) for space in SPACES),
                     ((*PRACTISED, *SYMMETRIC), "anchor"),
@@ -293,7 +245,7 @@ EXPERIMENTS = {
         "The preset `tuned` with one number put back to the paper's: BATD3 in Spatter, TD3 in"
         " Anchor.",
         [
-            _run(name, space, changes=changes)
+            trained(name, space, changes=changes)
             for changes, (name, space) in product(
                 ((), *PUT_BACK), (("batd3", "spatter"), ("td3", "anchor"))
             )
@@ -302,14 +254,14 @@ EXPERIMENTS = {
     "paper-preset": Experiment(
         "BATD3 and BC with the paper's numbers, as this project reads them.",
         [
-            _run(name, space, preset="paper-reading")
+            trained(name, space, preset="paper-reading")
             for space, name in product(SPACES, ("batd3", "bc"))
         ],
     ),
     "raised": Experiment(
         "The paper's preset with one number of `tuned` after another, for BATD3 in Spatter.",
         [
-            _run("batd3", "spatter", preset="paper-reading", changes=changes)
+            trained("batd3", "spatter", preset="paper-reading", changes=changes)
             for changes in ((), *RAISED)
         ],
     ),
