@@ -11,6 +11,7 @@ from __future__ import annotations
 
 from collections import OrderedDict
 from collections.abc import Callable
+from typing import Unpack
 
 import numpy as np
 from dm_control.mujoco import engine, wrapper
@@ -21,6 +22,7 @@ from numpy.typing import NDArray
 from backends.mujoco.model import build_spec
 from backends.mujoco.simulation import MujocoSimulation
 from cdcsr.envs.episodes import Episodes
+from cdcsr.envs.options import TaskOptions
 from cdcsr.errors import Diverged
 from cdcsr.robot.description import Robot, load_robot
 from cdcsr.simulation.contract import Array, Simulation
@@ -28,8 +30,7 @@ from cdcsr.simulation.engines import make_simulation
 from cdcsr.tasks.catalogue import actions_per_episode, make_task
 from cdcsr.tasks.observation import parts_of, tip_distance
 from cdcsr.tasks.spaces import Space, make_space
-from cdcsr.tasks.target_motion import MotionName
-from cdcsr.tasks.task import Reward, Task
+from cdcsr.tasks.task import Task
 
 _TARGET_COLOR = (0.2, 0.7, 0.3, 0.4)
 """The colour of the ball around the target whose radius is the task's threshold."""
@@ -230,14 +231,10 @@ def make_dm_environment(
     backend: str = "mujoco",
     space: str = "anchor",
     seed: int = 0,
-    reward: Reward | None = None,
     frame_skip: int = 1,
-    max_steps: int | None = None,
-    threshold: float | None = None,
     centers: Array | None = None,
-    motion: MotionName | None = None,
-    quiet: bool | None = None,
     flat_observation: bool = False,
+    **options: Unpack[TaskOptions],
 ) -> TaskEnvironment:
     """Make a task into a `dm_env` environment; with MuJoCo, `dm_control.viewer.launch` opens it.
 
@@ -250,29 +247,18 @@ def make_dm_environment(
         backend: the engine.
         space: the operation space in which targets are drawn.
         seed: seeds the targets and their motions.
-        reward: "sparse" (eq. 2) or "dense"; by default the task's.
         frame_skip: how many simulation steps each action is held for.
-        max_steps: time is up after this many simulation steps; by default the task's.
-        threshold: the tip is on the target within this distance, in [m]; by default the task's.
         centers: the targets of the demonstrations, shape (n, 3), in [m]; Floating and Spatter
             surround them. By default those of the paper's ten.
-        motion: how targets move; by default the task's.
-        quiet: success counts only while the base is near its start; by default the task's.
         flat_observation: observe one array, "observations", instead of the parts of eq. (1).
+        options: changes of the task, see :class:`cdcsr.envs.options.TaskOptions`.
 
     Raises:
         CdcsrError: an unknown name, or an impossible number.
     """
     robot = robot if isinstance(robot, Robot) else load_robot(robot)
-    task = make_task(
-        task,
-        reward_kind=reward,
-        max_steps=max_steps,
-        threshold=threshold,
-        motion=motion,
-        quiet=quiet,
-        period=robot.time_step * frame_skip,
-    )
+    reward, period = options.pop("reward", None), robot.time_step * frame_skip
+    task = make_task(task, period=period, reward_kind=reward, **options)
     judged = TargetTask(task, make_space(space, robot, centers), robot, frame_skip, seed)
     simulation = make_simulation(robot, backend)
     is_mujoco = isinstance(simulation, MujocoSimulation)

@@ -18,7 +18,22 @@ from cdcsr.tasks.task import Reward, Task
 Array = NDArray[np.float64]
 
 
-class EnvOptions(TypedDict, total=False):
+class TaskOptions(TypedDict, total=False):
+    """The keyword arguments that change a task."""
+
+    reward: Reward | None
+    """The reward, "sparse" (eq. 2) or "dense"; by default the task's."""
+    max_steps: int | None
+    """An episode is truncated after this many simulation steps; by default the task's."""
+    threshold: float | None
+    """The tip is on the target within this distance, in [m]; by default the task's."""
+    motion: MotionName | None
+    """How targets move; by default the task's."""
+    quiet: bool | None
+    """Success counts only while the base is near its start; by default the task's."""
+
+
+class EnvOptions(TaskOptions, total=False):
     """The keyword arguments that :class:`TaskEnv` and :class:`TaskVectorEnv` share."""
 
     robot: Robot | str
@@ -27,14 +42,8 @@ class EnvOptions(TypedDict, total=False):
     """The engine; by default "mujoco"."""
     space: str
     """The operation space in which targets are drawn; by default "anchor"."""
-    reward: Reward | None
-    """The reward, "sparse" (eq. 2) or "dense"; by default the task's."""
     frame_skip: int
     """How many simulation steps each action is held for; by default 1."""
-    max_steps: int | None
-    """An episode is truncated after this many simulation steps; by default the task's."""
-    threshold: float | None
-    """The tip is on the target within this distance, in [m]; by default the task's."""
     centers: Array | None
     """The targets of the demonstrations, shape (n, 3), in [m]; Floating and Spatter surround
     them. By default those of the paper's ten."""
@@ -44,10 +53,6 @@ class EnvOptions(TypedDict, total=False):
     """Draws a new plant for every episode; by default all plants are as described."""
     task: str | Task
     """A task, or a name in :data:`cdcsr.tasks.catalogue.TASKS`; by default "reach"."""
-    motion: MotionName | None
-    """How targets move; by default the task's."""
-    quiet: bool | None
-    """Success counts only while the base is near its start; by default the task's."""
 
 
 def read_reset_options(

@@ -10,6 +10,12 @@ from numpy.typing import ArrayLike, NDArray
 _Floats = NDArray[np.float64]
 _Ints = NDArray[np.int32]
 
+class _Vector:
+    """A field that returns an array and takes any numbers of that shape."""
+
+    def __get__(self, instance: object, owner: type) -> _Floats: ...
+    def __set__(self, instance: object, value: ArrayLike) -> None: ...
+
 class _Enum:
     def __int__(self) -> int: ...
 
@@ -78,11 +84,7 @@ class mjtTrn(_Enum):
 
 class MjOption:
     timestep: float
-    # MuJoCo returns an array and takes any three numbers, here as in all fields below.
-    @property
-    def gravity(self) -> _Floats: ...
-    @gravity.setter
-    def gravity(self, value: ArrayLike) -> None: ...
+    gravity: _Vector
     integrator: int | mjtIntegrator
     solver: int | mjtSolver
     disableflags: int
@@ -95,16 +97,10 @@ class MjsCompiler:
 
 class MjStatistic:
     extent: float
-    @property
-    def center(self) -> _Floats: ...
-    @center.setter
-    def center(self, value: ArrayLike) -> None: ...
+    center: _Vector
 
 class _Headlight:
-    @property
-    def ambient(self) -> _Floats: ...
-    @ambient.setter
-    def ambient(self, value: ArrayLike) -> None: ...
+    ambient: _Vector
 
 class MjVisual:
     headlight: _Headlight
@@ -125,18 +121,9 @@ class MjsEquality(_MjsElement):
 
 class _Limited(_MjsElement):
     limited: mjtLimited
-    @property
-    def range(self) -> _Floats: ...
-    @range.setter
-    def range(self, value: ArrayLike) -> None: ...
-    @property
-    def solref_limit(self) -> _Floats: ...
-    @solref_limit.setter
-    def solref_limit(self, value: ArrayLike) -> None: ...
-    @property
-    def solimp_limit(self) -> _Floats: ...
-    @solimp_limit.setter
-    def solimp_limit(self, value: ArrayLike) -> None: ...
+    range: _Vector
+    solref_limit: _Vector
+    solimp_limit: _Vector
 
 class MjsJoint(_Limited):
     type: mjtJoint
