@@ -21,16 +21,7 @@ if TYPE_CHECKING:
 
 INK, SOFT = "#333333", "#999999"
 """Colours of text, and of lines that should not stand out."""
-COLORS = (
-    "#1f5fa8",
-    "#d9822b",
-    "#7b4fa3",
-    "#2f8f83",
-    "#a23b5c",
-    "#6b6b6b",
-    "#8a7a1f",
-    "#4a9bd4",
-)
+COLORS = ("#1f5fa8", "#d9822b", "#7b4fa3", "#2f8f83", "#a23b5c", "#6b6b6b", "#8a7a1f", "#4a9bd4")
 """Colours of curves, in the order in which they are used."""
 _STYLE: dict[RcKeyType, Any] = {
     "font.size": 10.0,

@@ -134,11 +134,7 @@ def _jobs(chosen: Sequence[str], budget: Budget, only: str) -> list[Job]:
 
 
 def _refuse_other_learners(
-    wanted: Sequence[Job],
-    results: Path,
-    runs: Path,
-    store: Path,
-    stored: dict[str, StoredRun],
+    wanted: Sequence[Job], results: Path, runs: Path, store: Path, stored: dict[str, StoredRun]
 ) -> None:
     """Check that what is there was made with the same numbers of the learner."""
     from cdcsr.errors import CdcsrError

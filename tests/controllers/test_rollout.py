@@ -169,11 +169,7 @@ def test_only_a_privileged_controller_is_shown_the_true_state(privileged: bool) 
 
 def test_eq_1_is_built_again_bit_for_bit_from_what_arrived() -> None:
     """A policy sees the same numbers whether it is given the observation or the state in it."""
-    env = TaskVectorEnv(
-        8,
-        disturbances=Disturbances(0.1, 0.01, 0.3, 2),
-        autoreset_mode="Disabled",
-    )
+    env = TaskVectorEnv(8, disturbances=Disturbances(0.1, 0.01, 0.3, 2), autoreset_mode="Disabled")
     observation, _ = env.reset(seed=0)
     seen: list[Array] = []
 

@@ -82,12 +82,7 @@ def resized(robot: Robot, segments: int, links: int) -> Robot:
 
 
 def step_seconds(
-    robot: Robot,
-    engine: str,
-    copies: int = 4,
-    steps: int = 40,
-    rounds: int = 5,
-    read: bool = False,
+    robot: Robot, engine: str, copies: int = 4, steps: int = 40, rounds: int = 5, read: bool = False
 ) -> float:
     """Return the median processor time of a step of one copy, in [s], under gentle random commands.
 

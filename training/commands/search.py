@@ -293,10 +293,7 @@ def _read_rows(table: Path, targets: NDArray[np.float64]) -> list[_Row]:
         ) from None
     for episode, row in enumerate(rows):
         here = (row.x, row.y, row.z)
-        if episode == len(targets) or (row.episode, *here) != (
-            episode,
-            *targets[episode].tolist(),
-        ):
+        if episode == len(targets) or (row.episode, *here) != (episode, *targets[episode].tolist()):
             raise CdcsrError(
                 f"{table} is of other targets: line {episode + 2} is of target {row.episode} at "
                 f"{here}; give another folder, or --force to start anew."

@@ -44,16 +44,8 @@ class Difference:
             "axis": worse.axis.name,
             "episode": self.episode,
             "target": self.target,
-            "succeeds": {
-                "backend": better.backend,
-                "level": better.level,
-                "length": self.length,
-            },
-            "fails": {
-                "backend": worse.backend,
-                "level": worse.level,
-                "distance": self.distance,
-            },
+            "succeeds": {"backend": better.backend, "level": better.level, "length": self.length},
+            "fails": {"backend": worse.backend, "level": worse.level, "distance": self.distance},
             "reading": self.reading,
         }
 

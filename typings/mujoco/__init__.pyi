@@ -176,12 +176,7 @@ class MjsBody(_MjsElement):
         group: int = ...,
     ) -> MjsGeom: ...
     def add_site(
-        self,
-        *,
-        name: str = ...,
-        pos: ArrayLike = ...,
-        size: ArrayLike = ...,
-        rgba: ArrayLike = ...,
+        self, *, name: str = ..., pos: ArrayLike = ..., size: ArrayLike = ..., rgba: ArrayLike = ...
     ) -> MjsSite: ...
     def add_light(
         self, *, pos: ArrayLike = ..., dir: ArrayLike = ..., type: mjtLightType = ...

@@ -49,11 +49,7 @@ def test_a_demo_is_resumed_where_it_was_stopped(
         patch.setattr(demo_stages, "transfer", killed)
         with pytest.raises(Killed):
             run_demo(out, tiny(minutes=1e-6))
-    before = [
-        "models of the robot",
-        "ten demonstrations in MuJoCo",
-        "BC and BATD3 in MuJoCo",
-    ]
+    before = ["models of the robot", "ten demonstrations in MuJoCo", "BC and BATD3 in MuJoCo"]
     after = ["the same held-out targets in every engine", "figures", "video"]
     assert done_stages(capsys) == [*before, after[0]]
     assert not (out / "runs/batd3/summary.json").exists()

@@ -104,12 +104,7 @@ def test_the_actor_explores_and_its_average_is_kept(
 def test_the_average_starts_from_the_clone_as_the_actor_does(
     tmp_path: Path, demonstrations: Path
 ) -> None:
-    still = {
-        "clone_start": True,
-        "clone_anchor": 0.5,
-        "learning_rate": 1e-30,
-        "soft_update": 1e-30,
-    }
+    still = {"clone_start": True, "clone_anchor": 0.5, "learning_rate": 1e-30, "soft_update": 1e-30}
     weights = []
     for averaged in (True, False):
         numbers: dict[str, object] = {**still, "averaged_policy": averaged}

@@ -10,19 +10,8 @@ import numpy as np
 from cdcsr.simulation.engines import backend_names, engine_title
 from training.algorithms.registry import algorithm_title
 from training.measure.statistics import disagreement
-from training.study.report.cells import (
-    Value,
-    amount,
-    cost,
-    measure,
-    trained,
-)
-from training.study.report.records import (
-    SPACES,
-    Run,
-    at_home,
-    grouped,
-)
+from training.study.report.cells import Value, amount, cost, measure, trained
+from training.study.report.records import SPACES, Run, at_home, grouped
 
 RESULT = ("κ", "IQM of κ", "l_epi")
 """Heads of what :func:`result` gives."""

@@ -12,16 +12,7 @@ from training.algorithms.registry import ALGORITHMS, algorithm_title
 from training.measure.statistics import rate
 from training.study.declare.grid import ABLATIONS, AROUND, COUNTS
 from training.study.declare.learner_changes import OURS
-from training.study.report.cells import (
-    COST,
-    TRAINED,
-    Cell,
-    Table,
-    Value,
-    cost,
-    measure,
-    trained,
-)
+from training.study.report.cells import COST, TRAINED, Cell, Table, Value, cost, measure, trained
 from training.study.report.paper_numbers import DISTURBANCES, TABLE_4
 from training.study.report.records import (
     DEMONSTRATIONS,

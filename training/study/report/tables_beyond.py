@@ -14,23 +14,9 @@ from training.algorithms.registry import algorithm_title
 from training.measure.plant_axes import AXES, Axis
 from training.measure.statistics import Sweep, halving
 from training.study.declare.learner_changes import GENERAL, OURS, PUT_BACK, RAISED
-from training.study.report.cells import (
-    COST,
-    TRAINED,
-    Table,
-    Value,
-    cost,
-    trained,
-)
+from training.study.report.cells import COST, TRAINED, Table, Value, cost, trained
 from training.study.report.plant_sweeps import sweeps
-from training.study.report.records import (
-    SPACES,
-    Run,
-    at_home,
-    grouped,
-    is_of_paper,
-    is_usual,
-)
+from training.study.report.records import SPACES, Run, at_home, grouped, is_of_paper, is_usual
 from training.study.report.table_parts import (
     RESULT,
     basis,

@@ -16,13 +16,7 @@ from training.study.execute.jobs import Job
 from training.study.store import read_lines
 
 RECORDS = Path(__file__).parents[4] / "results" / "runs.jsonl"
-RETIRED = (
-    "step_cost",
-    "final_learning_rate",
-    "scaled_values",
-    "target_choice",
-    "keep_successes",
-)
+RETIRED = ("step_cost", "final_learning_rate", "scaled_values", "target_choice", "keep_successes")
 """Options that were tried without gain and removed. The records of those trials are kept."""
 
 
