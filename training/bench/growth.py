@@ -144,7 +144,7 @@ def _draw_fit(
     scale = np.exp(np.log(values).mean() - exponent * np.log(sizes).mean())
     axes.plot(sizes, scale * sizes**exponent, color=color, linewidth=1.4, label=label)
     axes.set(xscale="log", yscale="log")
-    axes.grid()
+    axes.grid(True)
     axes.xaxis.set_major_locator(FixedLocator(sizes.tolist()))
     axes.yaxis.set_major_locator(LogLocator(subs=(1, 2, 5)))
     for axis in (axes.xaxis, axes.yaxis):
