@@ -16,7 +16,7 @@ from collections.abc import Mapping
 from dataclasses import asdict, dataclass
 from importlib.metadata import version
 from pathlib import Path
-from typing import TYPE_CHECKING, cast
+from typing import IO, TYPE_CHECKING, cast
 
 from cdcsr.cli import run
 from cdcsr.errors import CdcsrError, unknown_choice
@@ -108,6 +108,17 @@ class Job:
             *folders,
             "--until-stdin-ends",
         ]
+
+    def start(self, runs: Path, results: Path, log: IO[bytes]) -> subprocess.Popen[bytes]:
+        """Start a process that does it; both outputs go to `log`. Ctrl-C does not reach it."""
+        return subprocess.Popen(
+            self.command(runs, results),
+            stdin=subprocess.PIPE,
+            stdout=log,
+            stderr=subprocess.STDOUT,
+            env=environment(),
+            start_new_session=True,
+        )
 
     def to_json(self) -> str:
         """Return one line that :meth:`from_json` reads."""

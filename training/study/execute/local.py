@@ -12,7 +12,7 @@ from typing import IO
 
 from cdcsr.errors import CdcsrError
 from cdcsr.locks import Busy
-from training.study.execute.jobs import Job, environment
+from training.study.execute.jobs import Job
 
 POLL = 0.2
 """Seconds between two looks at the processes."""
@@ -122,14 +122,7 @@ def carry_out_here(jobs: Sequence[Job], runs: Path, results: Path, slots: int) -
 def _start(job: Job, runs: Path, results: Path) -> _Running:
     print(f"        {job.name}: {'resumed' if job.is_begun(runs) else 'started'}", flush=True)
     log = log_path(job, runs).open("ab")
-    process = subprocess.Popen(
-        job.command(runs, results),
-        stdin=subprocess.PIPE,
-        stdout=log,
-        stderr=subprocess.STDOUT,
-        env=environment(),
-        start_new_session=True,  # Ctrl-C is for this process; it ends the others itself
-    )
+    process = job.start(runs, results, log)
     return _Running(job, process, log, time.monotonic())
 
 

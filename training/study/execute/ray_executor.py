@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import subprocess
 import time
 from collections.abc import Sequence
 from importlib import import_module
@@ -11,7 +10,7 @@ from typing import Any
 
 from cdcsr.errors import CdcsrError
 from cdcsr.locks import STALE_AFTER, Busy
-from training.study.execute.jobs import Job, environment
+from training.study.execute.jobs import Job
 from training.study.execute.local import Outcome, Progress, duration, failure, log_path
 
 RETRIES = 10
@@ -87,14 +86,7 @@ def do_one(text: str, runs: str, results: str) -> tuple[int, float]:
     started = time.monotonic()
     while True:
         with log_path(job, runs_folder).open("ab") as log:
-            process = subprocess.Popen(
-                job.command(runs_folder, folder),
-                stdin=subprocess.PIPE,
-                stdout=log,
-                stderr=subprocess.STDOUT,
-                env=environment(),
-                start_new_session=True,
-            )
+            process = job.start(runs_folder, folder, log)
             code = process.wait()
         if code != Busy.exit_code or time.monotonic() - started > 2 * STALE_AFTER:
             break

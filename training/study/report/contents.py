@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
 from training.study.declare import grid
@@ -17,7 +17,7 @@ from training.study.report.beside_paper import (
 )
 from training.study.report.cells import Table
 from training.study.report.engine_differences import differences, stock_settings
-from training.study.report.learning_curves import curve_figures, validation_points
+from training.study.report.learning_curves import Figures, curve_figures, validation_points
 from training.study.report.nearness import nearness, nearness_figures
 from training.study.report.plant_plots import follow_figures, plant_figures
 from training.study.report.reachable import beside_demonstrator
@@ -62,7 +62,7 @@ TABLES: tuple[Callable[[Sequence[Run]], Table], ...] = (
 """The other tables of the study's runs."""
 STORED_TABLES: tuple[Callable[[Path], Table], ...] = (searches, shipped)
 """Tables of what other commands stored in the folder of the results."""
-FIGURES: tuple[Callable[[Sequence[Run], Path], Iterator[tuple[str, str]]], ...] = (
+FIGURES: tuple[Callable[[Sequence[Run], Path], Figures], ...] = (
     curve_figures,
     variant_figures,
     follow_figures,

@@ -36,20 +36,14 @@ from training.study.report.tables import COUNTED, counted
 
 Array = NDArray[np.float64]
 
+Figures = Iterator[tuple[str, str]]
+"""The name of each figure's file, drawn into a folder `out`, and its caption."""
 Panels = dict[str, dict[RunDescription, list[Run]]]
 """Groups of seeds by the titles of their panels."""
 
 
-def curve_figures(runs: Sequence[Run], out: Path) -> Iterator[tuple[str, str]]:
-    """Draw the learning curves of every preset and engine.
-
-    Args:
-        runs: of the study.
-        out: folder of the figures.
-
-    Yields:
-        The name of each file, and its caption.
-    """
+def curve_figures(runs: Sequence[Run], out: Path) -> Figures:
+    """Draw the learning curves of every preset and engine."""
     plain = [run for run in runs if is_plain(run.setting) and run.setting.algorithm != JACOBIAN]
     chosen: tuple[tuple[str, str, list[Run], Callable[[RunDescription], str]], ...] = (
         (

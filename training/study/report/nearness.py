@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from itertools import pairwise
 from pathlib import Path
 from typing import NamedTuple
@@ -21,7 +21,7 @@ from training.config.seeds import TEST_SEED
 from training.measure.statistics import Estimate, rate
 from training.study.declare.grid import ABLATIONS
 from training.study.report.cells import COST, TRAINED, Table, amount, cost, measure, trained
-from training.study.report.learning_curves import legend, tidy
+from training.study.report.learning_curves import Figures, legend, tidy
 from training.study.report.records import (
     DEMONSTRATIONS,
     JACOBIAN,
@@ -123,16 +123,8 @@ def nearness(runs: Sequence[Run]) -> Table:
     )
 
 
-def nearness_figures(runs: Sequence[Run], out: Path) -> Iterator[tuple[str, str]]:
-    """Draw success by distance for each engine of training: no ablations, and the usual length.
-
-    Args:
-        runs: the runs of the study.
-        out: folder of the figures.
-
-    Yields:
-        The name of each file, and its caption.
-    """
+def nearness_figures(runs: Sequence[Run], out: Path) -> Figures:
+    """Draw success by distance for each engine of training: no ablations, and the usual length."""
     rows = [row for row in near_and_far(runs) if row.setting.algorithm not in ABLATIONS[1:]]
     for engine in sorted({row.setting.backend for row in rows}):
         own = [row for row in rows if row.setting.backend == engine]

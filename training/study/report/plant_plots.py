@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
@@ -17,7 +17,7 @@ from training.config.run_description import RunDescription
 from training.measure.plant_axes import AXES
 from training.measure.statistics import Sweep, wilson
 from training.study.report.cells import amount, who
-from training.study.report.learning_curves import legend, tidy
+from training.study.report.learning_curves import Figures, legend, tidy
 from training.study.report.plant_sweeps import sweeps
 from training.study.report.records import SPACES, Run, grouped
 from training.study.report.table_parts import engines_of
@@ -37,16 +37,8 @@ hide the others."""
 _COLUMNS = 4
 
 
-def follow_figures(runs: Sequence[Run], out: Path) -> Iterator[tuple[str, str]]:
-    """Draw Fig. 6 for each task, space and engine of training; tested in that engine.
-
-    Args:
-        runs: of the study.
-        out: folder of the figures.
-
-    Yields:
-        The name of each file, and its caption.
-    """
+def follow_figures(runs: Sequence[Run], out: Path) -> Figures:
+    """Draw Fig. 6 for each task, space and engine of training; tested in that engine."""
     kinds: dict[tuple[str, str, str], list[Run]] = {}
     for run in runs:
         if run.follow is not None:
@@ -88,16 +80,8 @@ def follow_figures(runs: Sequence[Run], out: Path) -> Iterator[tuple[str, str]]:
         )
 
 
-def plant_figures(runs: Sequence[Run], out: Path) -> Iterator[tuple[str, str]]:
-    """Draw success along every axis of the plant, for each engine and space of the test.
-
-    Args:
-        runs: of the study.
-        out: folder of the figures.
-
-    Yields:
-        The name of each file, and its caption.
-    """
+def plant_figures(runs: Sequence[Run], out: Path) -> Figures:
+    """Draw success along every axis of the plant, for each engine and space of the test."""
     swept = [run for run in runs if "plants" in run.evaluations]
     for engine in engines_of(swept, "plants"):
         title = engine_title(engine)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 from textwrap import fill
@@ -14,6 +14,7 @@ from cdcsr.simulation.engines import engine_title
 from training.algorithms.registry import algorithm_color, algorithm_title
 from training.config.run_description import RunDescription
 from training.study.report.learning_curves import (
+    Figures,
     aligned,
     by_kind,
     caption,
@@ -28,16 +29,8 @@ COLUMNS = 5
 _CHANGED = "with the change"
 
 
-def variant_figures(runs: Sequence[Run], out: Path) -> Iterator[tuple[str, str]]:
-    """Draw the learning curves of every variant, a figure for each preset, engine and space.
-
-    Args:
-        runs: of the study.
-        out: folder of the figures.
-
-    Yields:
-        The name of each file, and its caption.
-    """
+def variant_figures(runs: Sequence[Run], out: Path) -> Figures:
+    """Draw the learning curves of every variant, a figure for each preset, engine and space."""
     for (preset, engine, updates), some in sorted(by_kind(variants(runs)).items()):
         for space, title in SPACES.items():
             groups = grouped(run for run in some if run.setting.space == space)

@@ -60,15 +60,15 @@ def test_a_failure_is_the_end_of_the_log(tmp_path: Path) -> None:
     assert failure(1, log).endswith(": nothing in the log")
 
 
-def _codes(monkeypatch: pytest.MonkeyPatch, codes: list[int]) -> list[list[str]]:
-    """Processes that end at once, with these exit codes in turn; and their commands."""
-    started: list[list[str]] = []
+def _codes(monkeypatch: pytest.MonkeyPatch, codes: list[int]) -> list[Job]:
+    """Let processes end at once, with these exit codes in turn; return the started jobs."""
+    started: list[Job] = []
 
-    def start(command: list[str], **_: Any) -> SimpleNamespace:
-        started.append(command)
+    def start(job: Job, *_: object) -> SimpleNamespace:
+        started.append(job)
         return SimpleNamespace(wait=lambda: codes[len(started) - 1])
 
-    monkeypatch.setattr(ray_executor.subprocess, "Popen", start)
+    monkeypatch.setattr(Job, "start", start)
     monkeypatch.setattr(ray_executor, "RETRY_BUSY", 0.0)
     return started
 
@@ -81,7 +81,7 @@ def test_only_a_job_that_another_is_at_is_tried_again(
     code, minutes = do_one(job.to_json(), str(tmp_path / "runs"), str(tmp_path / "results"))
     assert (code, len(started)) == (codes[-1], len(codes))
     assert 0 <= minutes < 1
-    assert Job.from_json(started[0][started[0].index("--job") + 1]) == job
+    assert started[0] == job
 
 
 def test_a_lock_that_does_not_become_free_is_not_waited_for_for_ever(
