@@ -24,7 +24,7 @@ GRACE = 5.0
 
 @dataclass
 class Outcome:
-    """What became of some jobs, by the names of their runs."""
+    """The outcome of some jobs, by the names of their runs."""
 
     finished: dict[str, float] = field(default_factory=dict)
     """Finished jobs, and the minutes each took this time."""

@@ -103,7 +103,7 @@ def validation_points(runs: Sequence[Run]) -> Table:
 
 
 def caption(runs: Sequence[Run]) -> str:
-    """What curves rest on."""
+    """Say what curves rest on."""
     minutes = np.mean([run.minutes for run in runs])
     seeds = amount(map(len, grouped(runs).values()), "seed")
     return (

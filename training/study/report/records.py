@@ -107,7 +107,7 @@ class Run:
     environment_steps: int
     versions: Mapping[str, str]
     fingerprint: str
-    """Of the robot."""
+    """The fingerprint of the robot."""
     curve: Mapping[float, float]
     """Success on validation targets by updates; empty for what does not learn by updates."""
     evaluations: Mapping[str, Episodes]

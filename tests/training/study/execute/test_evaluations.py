@@ -1,4 +1,4 @@
-"""What the study's evaluations ask for, and that what they write is read back as it was."""
+"""The study's evaluations: their requests, and their results read back."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What a job trains, and what it leaves of its training beside the results."""
+"""A job: its training, and what it leaves of that beside the results."""
 
 from __future__ import annotations
 

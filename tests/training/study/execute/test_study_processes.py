@@ -1,4 +1,4 @@
-"""What survives when the study's processes are killed, and what is left to others."""
+"""The study's processes are killed: finished work survives, locks are taken over."""
 
 from __future__ import annotations
 

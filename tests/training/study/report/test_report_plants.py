@@ -1,4 +1,4 @@
-"""What the report says of two engines and of plants that are not as described."""
+"""The report on two engines, and on plants that differ from the description."""
 
 from __future__ import annotations
 
