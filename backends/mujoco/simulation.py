@@ -15,6 +15,7 @@ from cdcsr.robot.description import Robot
 from cdcsr.simulation.contract import (
     Array,
     Dynamics,
+    EngineOptions,
     Ids,
     Simulation,
     Snapshot,
@@ -37,6 +38,7 @@ class MujocoSimulation(Simulation):
     Args:
         robot: the description.
         num: how many copies.
+        options: this engine has none.
         threads: how many threads step the copies. By default one for fewer than 8 copies, else one
             for each processor. The numbers do not depend on it.
     """
@@ -45,8 +47,15 @@ class MujocoSimulation(Simulation):
     title = "MuJoCo"
     capabilities = frozenset({"render", "bit_exact", "own_settings", "soft_cables"})
 
-    def __init__(self, robot: Robot, num: int = 1, threads: int | None = None) -> None:
-        super().__init__(robot, num)
+    def __init__(
+        self,
+        robot: Robot,
+        num: int = 1,
+        options: EngineOptions | None = None,
+        *,
+        threads: int | None = None,
+    ) -> None:
+        super().__init__(robot, num, options)
         if threads is None:  # to wake a thread costs about as much as to step a few copies
             threads = processors() if num >= 8 else 1
         self._threads = threads

@@ -28,7 +28,16 @@ from backends.viewers.software import Renderer
 from cdcsr.errors import CdcsrError, Diverged
 from cdcsr.robot.description import Robot
 from cdcsr.robot.routing import routing
-from cdcsr.simulation.contract import Array, Capability, Dynamics, Ids, Simulation, Snapshot, State
+from cdcsr.simulation.contract import (
+    Array,
+    Capability,
+    Dynamics,
+    EngineOptions,
+    Ids,
+    Simulation,
+    Snapshot,
+    State,
+)
 from cdcsr.simulation.engines import processors
 from cdcsr.simulation.plant import Plant
 
@@ -55,8 +64,15 @@ class PybulletSimulation(Simulation):
     title: ClassVar[str] = "PyBullet"
     capabilities: ClassVar[frozenset[Capability]] = frozenset({"render", "own_settings"})
 
-    def __init__(self, robot: Robot, num: int = 1, workers: int | None = None) -> None:
-        super().__init__(robot, num)
+    def __init__(
+        self,
+        robot: Robot,
+        num: int = 1,
+        options: EngineOptions | None = None,
+        *,
+        workers: int | None = None,
+    ) -> None:
+        super().__init__(robot, num, options)
         if workers is None:
             workers = min(processors(), -(-num // COPIES_PER_WORKER)) if num >= POOL_FROM else 0
             workers = workers if workers > 1 else 0

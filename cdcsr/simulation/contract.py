@@ -14,6 +14,7 @@ from typing import ClassVar, Literal
 
 import numpy as np
 from numpy.typing import NDArray
+from pydantic import BaseModel, ConfigDict
 
 from cdcsr.errors import CdcsrError, Diverged, unknown_choice
 from cdcsr.robot.description import Robot
@@ -103,16 +104,24 @@ class Snapshot:
     longest command delay. None means that no commands are under way."""
 
 
+class EngineOptions(BaseModel):
+    """The options of an engine; the base class has none. Values may come as text."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid", use_attribute_docstrings=True)
+
+
 class Simulation(ABC):
     """`num` copies of a robot in one engine; they start straight and at rest.
 
     Args:
         robot: the description.
         num: how many copies.
+        options: how the engine steps; None for its defaults.
 
     Commands are servo set-points, shape (num, C), in [-eta, 0] m. Engines do not clip them.
 
     Attributes:
+        options: how the engine steps.
         plant: the numbers that `set_parameters` changes; read them only.
 
     Raises:
@@ -124,12 +133,15 @@ class Simulation(ABC):
     title: ClassVar[str]
     """The engine's name as it is written in text."""
     capabilities: ClassVar[frozenset[Capability]]
+    options_type: ClassVar[type[EngineOptions]] = EngineOptions
+    """The class of the options, each with its default, its bounds and a docstring."""
 
-    def __init__(self, robot: Robot, num: int = 1) -> None:
+    def __init__(self, robot: Robot, num: int = 1, options: EngineOptions | None = None) -> None:
         if num < 1:
             raise CdcsrError(f"A simulation needs at least one copy, not {num}.")
         self.robot = robot
         self.num = num
+        self.options = options or self.options_type()
         self.plant: Plant = Parameters().plant(robot, num)
         self._line = DelayLine(num, robot.num_cables)
 

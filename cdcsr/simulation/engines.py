@@ -1,4 +1,8 @@
-"""Find engines by name: each is an entry point in the group `cdcsr.backends`."""
+"""Find engines by name: each is an entry point in the group `cdcsr.backends`.
+
+A user may add options to a name wherever one is asked for, `pybullet:substeps=4` for example;
+:attr:`cdcsr.simulation.contract.Simulation.options_type` declares those of an engine.
+"""
 
 from __future__ import annotations
 
@@ -6,9 +10,11 @@ import os
 from functools import cache
 from importlib.metadata import entry_points
 
+from pydantic import ValidationError
+
 from cdcsr.errors import CdcsrError, unknown_choice
 from cdcsr.robot.description import Robot
-from cdcsr.simulation.contract import Simulation
+from cdcsr.simulation.contract import EngineOptions, Simulation
 
 _GROUP = "cdcsr.backends"
 
@@ -19,32 +25,34 @@ def backend_names() -> list[str]:
 
 
 def load_backend(name: str) -> type[Simulation]:
-    """Return the Simulation class of an engine.
+    """Return the Simulation class of an engine; options in `name` are checked.
 
     Raises:
-        CdcsrError: no engine of that name is installed.
+        CdcsrError: no engine of that name is installed, or an option is wrong.
     """
-    for point in entry_points(group=_GROUP):
-        if point.name == name:
-            return point.load()
-    raise CdcsrError(unknown_choice("backend", name, backend_names()))
+    backend, _ = _backend_with_options(name)
+    return backend
 
 
 @cache
 def engine_title(name: str) -> str:
     """Return an engine's title, or the name itself if no such engine is installed."""
-    return load_backend(name).title if name in backend_names() else name
+    bare, _, options = name.partition(":")
+    if bare not in backend_names():
+        return name
+    return load_backend(name).title + (f" ({options.replace(',', ', ')})" if options else "")
 
 
 def chosen_backends(name: str) -> list[str]:
     """Return the names of the engines that a user means by a name, or by "all".
 
     Raises:
-        CdcsrError: no engine of that name is installed.
+        CdcsrError: no engine of that name is installed, or an option is wrong.
     """
     installed = backend_names()
-    if name not in [*installed, "all"]:
-        raise CdcsrError(unknown_choice("backend", name, [*installed, "all"]))
+    bare = name.partition(":")[0]
+    if bare not in [*installed, "all"]:
+        raise CdcsrError(unknown_choice("backend", bare, [*installed, "all"]))
     chosen = installed if name == "all" else [name]
     for each in chosen:  # an error should come before the work
         load_backend(each)
@@ -54,10 +62,44 @@ def chosen_backends(name: str) -> list[str]:
 def make_simulation(robot: Robot, backend: str, num: int = 1) -> Simulation:
     """Make a simulation of `num` copies in an engine.
 
+    Args:
+        robot: the description.
+        backend: the engine's name, with options or without.
+        num: how many copies.
+
     Raises:
-        CdcsrError: no engine of that name is installed.
+        CdcsrError: no engine of that name is installed, or an option is wrong.
     """
-    return load_backend(backend)(robot, num)
+    kind, options = _backend_with_options(backend)
+    return kind(robot, num, options)
+
+
+def _backend_with_options(text: str) -> tuple[type[Simulation], EngineOptions]:
+    """Return the class and the options that are meant by `name` or `name:key=value,key=value`."""
+    name, colon, listed = text.partition(":")
+    points = [point for point in entry_points(group=_GROUP) if point.name == name]
+    if not points:
+        raise CdcsrError(unknown_choice("backend", name, backend_names()))
+    backend: type[Simulation] = points[0].load()
+    fields = backend.options_type.model_fields
+    values: dict[str, str] = {}
+    for pair in listed.split(",") if colon else []:
+        key, equals, value = pair.partition("=")
+        if not equals or key in values:
+            raise CdcsrError(
+                f"Options of an engine are written name:key=value,key=value, each key once; "
+                f"found {text!r}."
+            )
+        if key not in fields:
+            raise CdcsrError(unknown_choice(f"option of the engine {name}", key, fields))
+        values[key] = value
+    try:
+        return backend, backend.options_type(**values)
+    except ValidationError as error:
+        first = error.errors()[0]
+        raise CdcsrError(
+            f"Engine {name}, option {first['loc'][0]}: {first['msg']}; found {first['input']!r}."
+        ) from None
 
 
 def processors() -> int:

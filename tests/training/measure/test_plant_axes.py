@@ -109,7 +109,7 @@ def test_mujocos_own_settings_stretch_a_cable(paper: Robot) -> None:
 @pytest.mark.parametrize("workers", [0, 2])
 def test_pybullets_own_settings_damp_a_drift(workers: int, paper: Robot) -> None:
     """Bullet's law for multibodies is v' = -k (1 + |v|) v on every body alike."""
-    simulation, after = PybulletSimulation(paper, 2, workers), []
+    simulation, after = PybulletSimulation(paper, 2, workers=workers), []
     for _ in range(2):
         snapshot = simulation.get_snapshot()
         snapshot.velocity[:, 2] = 0.1
