@@ -7,8 +7,9 @@ A user may add options to a name wherever one is asked for, `pybullet:substeps=4
 from __future__ import annotations
 
 import os
+import sys
 from functools import cache
-from importlib.metadata import entry_points
+from importlib.metadata import EntryPoint, entry_points
 
 from pydantic import ValidationError
 
@@ -19,9 +20,15 @@ from cdcsr.simulation.contract import EngineOptions, Simulation
 _GROUP = "cdcsr.backends"
 
 
+@cache
+def _installed(path: tuple[str, ...]) -> dict[str, EntryPoint]:  # noqa: ARG001 (the cache's key)
+    """Find the engines by name in the packages on Python's `path`; a search takes 10 ms."""
+    return {point.name: point for point in entry_points(group=_GROUP)}
+
+
 def backend_names() -> list[str]:
     """Return the names of the installed engines."""
-    return sorted({point.name for point in entry_points(group=_GROUP)})
+    return sorted(_installed(tuple(sys.path)))
 
 
 def load_backend(name: str) -> type[Simulation]:
@@ -34,7 +41,6 @@ def load_backend(name: str) -> type[Simulation]:
     return backend
 
 
-@cache
 def engine_title(name: str) -> str:
     """Return an engine's title, or the name itself if no such engine is installed."""
     bare, _, options = name.partition(":")
@@ -77,10 +83,10 @@ def make_simulation(robot: Robot, backend: str, num: int = 1) -> Simulation:
 def _backend_with_options(text: str) -> tuple[type[Simulation], EngineOptions]:
     """Return the class and the options that are meant by `name` or `name:key=value,key=value`."""
     name, colon, listed = text.partition(":")
-    points = [point for point in entry_points(group=_GROUP) if point.name == name]
-    if not points:
-        raise CdcsrError(unknown_choice("backend", name, backend_names()))
-    backend: type[Simulation] = points[0].load()
+    points = _installed(tuple(sys.path))
+    if name not in points:
+        raise CdcsrError(unknown_choice("backend", name, list(points)))
+    backend: type[Simulation] = points[name].load()
     fields = backend.options_type.model_fields
     values: dict[str, str] = {}
     for pair in listed.split(",") if colon else []:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import cache
 from typing import Literal
 
 import numpy as np
@@ -76,7 +77,15 @@ def bootstrap(
         repetitions: the number of resamples.
         seed: seeds the resamples.
     """
-    runs, tasks = scores.shape
+    values = np.asarray(scores, dtype=float)
+    return _bootstrap(values.tobytes(), values.shape, statistic, repetitions, seed)
+
+
+@cache  # several tables show the same interval
+def _bootstrap(
+    values: bytes, shape: tuple[int, ...], statistic: Statistic, repetitions: int, seed: int
+) -> tuple[float, float]:
+    scores, (runs, tasks) = np.frombuffer(values).reshape(shape), shape
     chosen = np.random.default_rng(seed).integers(runs, size=(repetitions, runs, tasks))
     low, high = np.quantile(statistic(scores[chosen, np.arange(tasks)]), _QUANTILES)
     return float(low), float(high)

@@ -6,6 +6,7 @@ from pathlib import Path
 
 import pytest
 
+from cdcsr.errors import CdcsrError
 from tests.support.small_study import find, nominal, write_csv, write_run
 from training.report import report
 from training.study.report.engine_differences import differences
@@ -116,3 +117,17 @@ def test_figures_of_following_and_of_plants(study: Path, tmp_path: Path) -> None
     assert {"fig6-anchor-mujoco.png", "plants-anchor-mujoco.png"} <= {
         file.name for file in (tmp_path / "out").iterdir()
     }
+
+
+def test_the_level_trained_on_is_of_the_same_space(tmp_path: Path) -> None:
+    run = {
+        "nominal": [nominal("1110"), nominal("0000", "floating")],
+        "plants": [("mujoco", "anchor", "link_mass", 2, "1100")],
+    }
+    write_run(tmp_path, "one", run)
+    (sweep,) = sweeps(load_study(tmp_path), "link_mass", "mujoco", "anchor").values()
+    assert sweep.levels.tolist() == [1, 2]
+    assert sweep.outcomes.sum(axis=0).tolist() == [3, 2]
+    write_run(tmp_path, "two", {**run, "nominal": [nominal("11101")]})
+    with pytest.raises(CdcsrError, match="Run two: levels of link_mass have different episodes"):
+        sweeps(load_study(tmp_path), "link_mass", "mujoco", "anchor")

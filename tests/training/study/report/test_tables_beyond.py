@@ -1,0 +1,141 @@
+"""Tables that go beyond the paper: variants, presets, tasks and plants."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from tests.support.small_study import find, nominal, write_run
+from training.measure.statistics import Sweep, halving
+from training.study.report.cells import Table
+from training.study.report.engine_differences import differences
+from training.study.report.records import load_study
+from training.study.report.tables import (
+    comparison,
+)
+from training.study.report.tables_beyond import (
+    halvings,
+    own_ablation,
+    presets,
+    raised,
+    tasks,
+    variants,
+)
+
+
+def shown(table: Table, *names: str) -> list[tuple[Any, ...]]:
+    """Some columns of the rows that something was run for."""
+    places = [table.head.index(name) for name in names]
+    return [tuple(row[i] for i in places) for row in table.rows if row[table.head.index("seeds")]]
+
+
+def test_what_is_put_back_to_the_papers_stands_beside_the_preset_and_is_no_variant(
+    study: Path,
+) -> None:
+    for name, switches in (
+        ("back", {"features": "state"}),
+        ("rate", {"learning_rate": 1e-4}),
+        ("other", {"critics": 3}),
+    ):
+        write_run(study, name, {"nominal": [nominal("1000")]}, switches=switches)
+    write_run(
+        study, "spatter", {"nominal": [nominal("1", "spatter")]}, algorithm="clasp", space="spatter"
+    )
+    runs = load_study(study)
+    table = presets(runs)
+    found: list[dict[str, Any]] = [dict(zip(table.head, row, strict=True)) for row in table.rows]
+    names = [(row["space"], row["algorithm"], row["κ"].value) for row in found]
+    plain = find(comparison(runs), algorithm="BATD3", space="Anchor", preset="tuned")
+    assert names == [
+        ("Anchor", "BATD3", plain["κ"].value),
+        ("Anchor", "BATD3, features = state", 0.25),
+        ("Anchor", "BATD3, learning_rate = 0.0001", 0.25),
+    ]
+    variants_of = [row[1] for row in own_ablation(runs).rows]
+    assert "BATD3, critics = 3" in variants_of
+    assert not {name for _, name, _ in names[1:]} & set(variants_of)
+
+
+def test_what_is_raised_to_tuned_stands_in_its_order_above_the_papers_preset(study: Path) -> None:
+    few, more = (
+        {"return_steps": 20},
+        {"features": "state+error", "num_envs": 64, "return_steps": 20},
+    )
+    for name, switches in (("more", more), ("few", few), ("none", {}), ("other", {"critics": 3})):
+        write_run(study, name, {"nominal": [nominal("1000")]}, preset="paper", switches=switches)
+    runs = load_study(study)
+    assert [row[1] for row in raised(runs).rows] == [
+        "BATD3",
+        "BATD3, return_steps = 20",
+        "BATD3, features = state+error, num_envs = 64, return_steps = 20",
+    ]
+    assert not any(run.setting.preset == "paper" for run in variants(runs))
+
+
+def test_other_tasks_are_in_their_space_in_order(tmp_path: Path) -> None:
+    for task, space in (("reach", "workspace"), ("quiet", "spatter"), ("quiet", "anchor")):
+        rows = [nominal("1000", space), nominal("1110", "other")]
+        write_run(
+            tmp_path,
+            f"a-{task}-{space}",
+            {"nominal": rows},
+            task=task,
+            space=space,
+            algorithm="td3",
+        )
+        write_run(tmp_path, f"b-{task}-{space}", {"nominal": rows}, task=task, space=space)
+    table = tasks(load_study(tmp_path))
+    found = shown(table, "task", "space", "κ in MuJoCo")
+    places = [("quiet", "anchor"), ("quiet", "spatter"), ("reach", "workspace")]
+    assert [row[:2] for row in found] == [place for place in places for _ in range(2)]
+    assert {row[2].value for row in found} == {0.25}
+
+
+def test_halves_below_and_above_and_what_was_swept(tmp_path: Path) -> None:
+    levels = [
+        ("rest_length_offset", 0, "1111"),
+        ("rest_length_offset", 0.1, "1111"),
+        ("rest_length_offset", 0.2, "0000"),
+        ("servo_gain", 0.25, "0000"),
+        ("servo_gain", 1, "1111"),
+        ("servo_gain", 2, "1110"),
+    ]
+    write_run(tmp_path, "s0", {"plants": [("mujoco", "anchor", *row) for row in levels]})
+    more = [("mujoco", "anchor", "servo_gain", level, "1111") for level in (0.5, 1, 3)]
+    write_run(tmp_path, "s1", {"plants": more}, seed=1)
+    table = halvings(load_study(tmp_path))
+    row = find(table, plant="rest length offset [m]")
+    assert (row["swept"], row["halves below"], row["halves above"]) == (
+        "0 to 0.2",
+        "-",
+        "0.15 [0.15, 0.15]",
+    )
+    row = find(table, plant="servo gain [factor]")
+    assert row["swept"] == "0.25 to 3"
+    assert row["halves above"].startswith("none")
+    (tmp_path / "s1" / "plants.csv").unlink()
+    # Midway between the factors 1 and 1/4.
+    assert (
+        find(halvings(load_study(tmp_path)), plant="servo gain [factor]")["halves below"]
+        == "0.5 [0.5, 0.5]"
+    )
+
+
+def test_down_to_exactly_half_is_half() -> None:
+    """A sweep ends with such a level."""
+    outcomes = [[True, True], [True, False]]
+    found = halving([Sweep(np.array([1.0, 2.0]), np.array(outcomes))], 1.0, "above")
+    assert found is not None
+    assert found.level == 2
+
+
+def test_episodes_all_around_the_arm_are_compared_too_and_each_run_counts_once(
+    tmp_path: Path,
+) -> None:
+    around = [nominal("110", "workspace"), nominal("011", "workspace", "pybullet")]
+    both = [nominal("11"), nominal("10", backend="pybullet")]
+    write_run(tmp_path, "one", {"nominal": both, "workspace": around})
+    found = {row[0]: row[1:] for row in differences(load_study(tmp_path)).rows}
+    assert found["as described"] == [1, 5, 3, 2, 1, "`one`, anchor, 1; `one`, workspace, 0, 2"]
