@@ -1,4 +1,4 @@
-"""Rules of the tasks: scripted episodes judged by hand, and relabelling against playing again."""
+"""Rules of the tasks: episodes judged by hand, following's edge cases, and relabelling."""
 
 from __future__ import annotations
 
@@ -13,6 +13,7 @@ from cdcsr.simulation.contract import Array, State
 from cdcsr.tasks.catalogue import TASKS, Follow, make_task
 from cdcsr.tasks.observation import (
     BASE_POSITION,
+    BASE_QUATERNION,
     DISTANCE,
     TARGET,
     TIP_POSITION,
@@ -253,3 +254,26 @@ def test_rewards_of_an_episode(name: str, expected: list[float]) -> None:
     assert make_task(name).episode_rewards(observations, True).tolist() == expected
     dense = make_task(name, reward_kind="dense").episode_rewards(observations, True)
     np.testing.assert_allclose(dense, np.array(expected) - [0.01, 0.5, 0.02])
+
+
+@pytest.mark.parametrize(
+    ("counted", "least"), [(1, 1), (5, 5), (9, 9), (10, 9), (11, 10), (19, 18), (20, 18)]
+)
+def test_nine_in_ten_is_no_less(counted: int, least: int) -> None:
+    """For example 4 of 5 actions are 80 %, so all 5 must be on target."""
+    task = Follow(settling=0.0)
+    for hits in range(counted + 1):
+        x = np.where(np.arange(counted + 1) <= hits, 0.0, 1.0)  # the first is before any action
+        tip = x[:, None] * [1.0, 0.0, 0.0]
+        success = task.first_success(tip, np.zeros_like(tip), np.zeros(3)) == counted
+        assert success == (hits >= least) == (hits / counted >= 0.9)
+
+
+def test_a_quiet_follower_is_rewarded_only_while_the_base_is_quiet() -> None:
+    rows = np.zeros((5, observation_size(load_robot("paper"))))
+    rows[:, BASE_QUATERNION.start] = 1.0
+    rows[:, DISTANCE] = [0.5, 0.01, 0.01, 0.5, 0.01]
+    rows[2, BASE_POSITION.start] = 0.01  # only after the second action
+    for quiet, expected in ((True, [1, 0, 0, 1]), (False, [1, 1, 0, 1])):
+        task = make_task("follow-line", quiet=quiet)
+        assert task.episode_rewards(rows, False).tolist() == expected

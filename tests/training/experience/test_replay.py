@@ -1,11 +1,25 @@
-"""Replay: n-step returns by hand, successors, and the ring."""
+"""Replay by hand, shares of a mixed batch, and hindsight relabelling by brute force."""
 
 from __future__ import annotations
 
+import dataclasses
+
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 
+from cdcsr.robot.description import load_robot
+from cdcsr.tasks.catalogue import make_task
+from cdcsr.tasks.observation import DISTANCE, TARGET, TIP_POSITION, observation_size
+from training.config.learner import Practising
+from training.experience.collector import FinishedEpisode
+from training.experience.hindsight import relabel
+from training.experience.mixed_replay import MixedReplay
 from training.experience.replay import Replay, n_step_returns, returns_to_go
+
+_ROBOT = load_robot("planar-single")
+_SIZE = observation_size(_ROBOT)
+_TASK = make_task("reach")
 
 
 def _episode(replay: Replay, length: int, success: bool, mark: float) -> None:
@@ -70,3 +84,119 @@ def test_transitions_are_drawn_uniformly() -> None:
     counts = np.bincount(steps.astype(int), minlength=6)
     assert counts[5] == 0
     assert counts[:5] == pytest.approx(4000, abs=5 * np.sqrt(3200))
+
+
+def _finished(length: int, mark: float) -> FinishedEpisode:
+    actions = np.full((length, _ROBOT.num_cables), 0.5)
+    return FinishedEpisode(
+        np.full((length + 1, _SIZE), mark), actions, np.eye(length)[-1], True, True
+    )
+
+
+def _clone(observations: NDArray[np.float64]) -> NDArray[np.float32]:
+    return (observations[:, : _ROBOT.num_cables] + 1).astype(np.float32)
+
+
+def _replay(kept_share: float) -> MixedReplay:
+    learner = Practising(batch_size=40, capacity=1000)
+    return MixedReplay(_ROBOT, make_task("reach"), learner, _clone, kept_share)
+
+
+def test_demonstrations_have_their_share_of_every_batch() -> None:
+    replay, rng = _replay(kept_share=0.25), np.random.default_rng(0)
+    replay.prefill([_finished(60, mark=1)])
+    assert (replay.sample(rng).observation[:, 0] == 1).all()  # nothing is collected yet
+    replay.add(_finished(200, mark=2), rng)
+    for _ in range(5):
+        batch = replay.sample(rng)
+        assert ((batch.observation[:, 0] == 1).sum(), len(batch.observation)) == (10, 40)
+        assert (batch.bc_action[:, 0] == batch.observation[:, 0] + 1).all()
+    assert (replay.buffers["kept"].size, replay.buffers["replay"].size) == (61, 201)
+
+
+def test_without_a_share_there_is_one_buffer() -> None:
+    replay, rng = _replay(kept_share=0.0), np.random.default_rng(0)
+    replay.prefill([_finished(60, mark=1)])
+    replay.add(_finished(60, mark=2), rng)
+    assert {name: buffer.size for name, buffer in replay.buffers.items()} == {"replay": 122}
+    drawn = sum(int((replay.sample(rng).observation[:, 0] == 1).sum()) for _ in range(12))
+    assert 200 < drawn < 280  # of 480
+
+
+@pytest.mark.parametrize(
+    ("task", "reward", "stored"),
+    [("reach", None, 1.0), ("follow-line", None, 0.25), ("follow-line", "dense", 1.0)],
+)
+def test_values_of_a_task_that_does_not_end_stay_below_one(
+    task: str, reward: str | None, stored: float
+) -> None:
+    learner = Practising(batch_size=4, capacity=100, discount=0.75)
+    replay = MixedReplay(_ROBOT, make_task(task, reward_kind=reward), learner)
+    episode = dataclasses.replace(_finished(40, 1.0), rewards=np.ones(40), terminated=False)
+    replay.prefill([episode])
+    rows = replay.buffers["replay"].rows
+    np.testing.assert_allclose(rows["reward"][:40], stored)
+    # On target for ever is worth 1: r + gamma r + ... = r / (1 - gamma).
+    assert rows["outcome"][0] == pytest.approx(stored / 0.25, rel=1e-4)
+
+
+@pytest.mark.parametrize("seed", range(20))
+def test_relabel_against_brute_force(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    length, threshold = 80, 0.03
+    observations = rng.normal(size=(length + 1, _SIZE))
+    observations[:, TIP_POSITION] = np.cumsum(
+        rng.normal((0.01, 0, 0), 0.01, size=(length + 1, 3)), axis=0
+    )
+    episode = FinishedEpisode(
+        observations, rng.uniform(-1, 1, (length, 4)), np.zeros(length), False, False
+    )
+    before = observations.copy()
+    other = relabel(episode, _TASK, rng)
+    if other is None:
+        return
+    target = other.observations[0, TARGET]
+    near = [
+        float(np.linalg.norm(tip - target)) <= threshold for tip in observations[:, TIP_POSITION]
+    ]
+    assert near.index(True) == len(other.actions) >= 1
+    assert other.success
+    assert other.rewards.tolist() == [0.0] * (len(other.actions) - 1) + [1.0]
+    assert (other.observations[:, TARGET] == target).all()
+    np.testing.assert_allclose(
+        other.observations[:, DISTANCE],
+        [np.linalg.norm(row[TIP_POSITION] - target) for row in other.observations],
+        rtol=1e-12,
+    )
+    untouched = np.r_[0:6, 10:_SIZE]
+    np.testing.assert_array_equal(
+        other.observations[:, untouched], before[: len(other.observations), untouched]
+    )
+    np.testing.assert_array_equal(other.actions, episode.actions[: len(other.actions)])
+    np.testing.assert_array_equal(observations, before)
+
+
+def test_rewards_are_those_of_the_task() -> None:
+    """A followed target pays for every action on target, until the time limit."""
+    rng = np.random.default_rng(1)
+    observations = np.zeros((401, _SIZE))
+    observations[1:, 0] = 1 + rng.uniform(-0.001, 0.001, 400)  # reaches it at once, and stays
+    episode = FinishedEpisode(observations, np.zeros((400, 4)), np.zeros(400), False, False)
+    other = relabel(episode, make_task("follow-line", motion="rest"), rng)
+    assert other is not None
+    assert (len(other.actions), other.terminated, other.success) == (400, False, True)
+    offset = other.observations[1:, TIP_POSITION] - other.observations[0, TARGET]
+    near = np.linalg.norm(offset, axis=1) <= 0.03
+    assert near.mean() > 0.9
+    np.testing.assert_array_equal(other.rewards, near.astype(float))
+
+
+def test_targets_lie_all_along_the_path() -> None:
+    rng = np.random.default_rng(0)
+    observations = np.zeros((201, _SIZE))
+    observations[:, 0] = np.linspace(0, 2, 201)
+    episode = FinishedEpisode(observations, np.zeros((200, 4)), np.zeros(200), False, False)
+    found = [relabel(episode, _TASK, rng) for _ in range(400)]
+    lengths = np.array([len(other.actions) for other in found if other is not None])
+    # Uniform over the path, except for targets within the threshold of its start.
+    assert np.histogram(lengths, 4, (0, 200))[0].min() > 60

@@ -1,4 +1,4 @@
-"""The video shows what was recorded, in every engine."""
+"""Learning curves, pictures of targets, and videos: what was measured is found in them again."""
 
 from __future__ import annotations
 
@@ -13,9 +13,90 @@ from numpy.typing import NDArray
 from PIL import Image, ImageSequence
 
 from backends.viewers.software import BACKGROUND, TARGET_RADIUS, Renderer
+from cdcsr.errors import CdcsrError
+from cdcsr.plots import COLORS
 from cdcsr.robot.description import load_robot
 from controllers.jacobian import JacobianController
+from tests.support.pixels import count_pixels
+from training.measure.evaluation import Result, wilson
 from training.plots import video
+from training.plots.learning_curve import draw_learning_curve
+from training.plots.targets import MISSED_COLOR, REACHED_COLOR, draw_targets
+from training.run.metrics import Metrics
+
+
+@pytest.fixture
+def run(tmp_path: Path) -> Path:
+    """A run with metrics of three evaluations."""
+    folder = tmp_path / "run"
+    folder.mkdir()
+    metrics = Metrics(folder, 0)
+    for update, successes in ((1000, 5), (2000, 50), (3000, 90)):
+        low, high = wilson(successes, 100)
+        metrics.add(
+            {
+                "update": update,
+                "environment_steps": 64 * update,
+                "minutes": update / 1000,
+                "success_rate": successes / 100,
+                "success_low": low,
+                "success_high": high,
+            }
+        )
+    metrics.close()
+    return folder
+
+
+def test_learning_curve_shows_every_run(run: Path, tmp_path: Path) -> None:
+    draw_learning_curve([run], tmp_path / "one.png")
+    draw_learning_curve([run, run.parent / "empty"], tmp_path / "same.png", {"BC": 0.7})
+    assert count_pixels(tmp_path / "one.png", COLORS[0]) > 500
+    assert (tmp_path / "one.png").read_bytes() != (tmp_path / "same.png").read_bytes()
+    height, width, _ = imageio.imread(tmp_path / "one.png").shape
+    assert 400 < height < width < 1400
+
+
+def test_learning_curve_is_the_same_each_time(run: Path, tmp_path: Path) -> None:
+    for name in ("a.png", "b.png"):
+        draw_learning_curve([run], tmp_path / name, {"BC": 0.7, "demonstrator": 0.93})
+    assert (tmp_path / "a.png").read_bytes() == (tmp_path / "b.png").read_bytes()
+
+
+def test_learning_curve_without_metrics(tmp_path: Path) -> None:
+    with pytest.raises(CdcsrError, match=r"No run has metrics to draw yet: .*nothing"):
+        draw_learning_curve([tmp_path / "nothing"], tmp_path / "curve.png")
+    assert not (tmp_path / "curve.png").exists()
+
+
+def results(reached: int, total: int = 20) -> Result:
+    rng = np.random.default_rng(0)
+    success = np.arange(total) < reached
+    targets = rng.normal((0.2, 0.1, 2.4), 0.1, (total, 3))
+    return Result(success, np.full(total, 100), np.zeros(total), targets)
+
+
+def test_reached_and_missed_targets_differ(tmp_path: Path) -> None:
+    robot = load_robot("paper")
+    reds, greens = [], []
+    for reached in (20, 10, 0):
+        path = tmp_path / f"{reached}.png"
+        panels = {"BC in MuJoCo": results(reached), "BC in PyBullet": results(reached)}
+        draw_targets(panels, robot, path)
+        reds.append(count_pixels(path, MISSED_COLOR))
+        greens.append(count_pixels(path, REACHED_COLOR))
+    assert reds[0] < reds[1] < reds[2]
+    assert greens[0] > greens[1] > greens[2]
+
+
+def test_one_target_and_another_robot(tmp_path: Path) -> None:
+    draw_targets({"one": results(1, total=1)}, load_robot("planar-single"), tmp_path / "one.png")
+    assert count_pixels(tmp_path / "one.png", REACHED_COLOR) > 0
+
+
+def test_no_results_are_refused(tmp_path: Path) -> None:
+    with pytest.raises(CdcsrError, match="no results"):
+        draw_targets({}, load_robot("paper"), tmp_path / "none.png")
+
 
 ROBOT = load_robot("paper")
 TARGETS = np.array([(0.25, 0.1, 2.5), (0.15, 0.05, 2.4)])

@@ -1,13 +1,79 @@
-"""`cdcsr search`: it goes on where it stopped, and refuses what is not its own."""
+"""`cdcsr search`: what it asks for, what it says, how it goes on, and what it refuses."""
 
 from __future__ import annotations
 
 import json
+from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
+import numpy as np
 import pytest
 
 from cdcsr import cli
+from cdcsr.robot.description import load_robot
+from cdcsr.tasks.spaces import make_space
+from controllers.search import Outcome
+from training.config.seeds import TEST_SEED
+
+FOUND = [
+    (Outcome(0.25, 200.0, 0.01), Outcome(0.75, 150.0, 0.005)),
+    (Outcome(0.0, 250.0, 0.2), Outcome(0.0, 250.0, 0.1)),
+    (Outcome(0.0, 250.0, 0.08), Outcome(0.5, 200.0, 0.02)),
+    (Outcome(1.0, 100.0, 0.02), Outcome(1.0, 100.0, 0.02)),
+]
+
+
+@pytest.mark.parametrize("missed", [True, False])
+def test_each_held_out_target_is_searched_by_itself(
+    missed: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    asked: list[tuple[np.ndarray, int, int]] = []
+    wishes: list[Callable[[Outcome], bool]] = []
+
+    def improve(
+        _: Any,
+        env: Any,
+        target: np.ndarray,
+        rounds: int,
+        seed: int,
+        wanted: Callable[[Outcome], bool],
+    ) -> Any:
+        assert env.num_envs == 48
+        asked.append((target.copy(), rounds, seed))
+        wishes.append(wanted)
+        return FOUND[len(asked) - 1]
+
+    monkeypatch.setattr("controllers.search.improve", improve)
+    arguments = [
+        "search",
+        "jacobian",
+        "--robot",
+        "planar-single",
+        "--out",
+        str(tmp_path / "out"),
+        "--episodes",
+        "4",
+        "--rounds",
+        "9",
+        "--json",
+        str(tmp_path / "summary.json"),
+    ]
+    assert cli.main([*arguments, *(["--missed"] if missed else [])]) == 0
+    targets = make_space("anchor", load_robot("planar-single")).sample(
+        np.random.default_rng(TEST_SEED), 4
+    )
+    np.testing.assert_array_equal([target for target, _, _ in asked], targets)
+    assert {rounds for _, rounds, _ in asked} == {9}
+    assert len({seed for _, _, seed in asked}) == 4  # plans and disturbances of their own
+    for wanted in wishes:
+        assert [wanted(Outcome(reached, 100, 0.02)) for reached in (0.0, 0.49, 0.5, 1.0)] == (
+            [True, True, False, False] if missed else [True] * 4
+        )
+    summary = json.loads((tmp_path / "summary.json").read_text("utf-8"))
+    assert (summary["reached"], summary["length"]) == (0.3125, 200.0)
+    assert (summary["best_reached"], summary["best_length"]) == (0.5625, 175.0)
+    assert (summary["never"], summary["most_steps"]) == ([1], 250)
 
 
 def test_the_command_goes_on_and_refuses_another_search(

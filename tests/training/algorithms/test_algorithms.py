@@ -1,4 +1,4 @@
-"""Each algorithm's own part, against a hand computation on tiny networks."""
+"""Each algorithm's targets and losses, against hand computations on tiny networks."""
 
 from __future__ import annotations
 
@@ -7,25 +7,81 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 import torch
 from safetensors import safe_open
 
-from cdcsr.robot.description import load_robot
+from cdcsr.robot.description import Robot, load_robot
+from cdcsr.tasks.observation import observation_size
 from controllers.demonstrations import load
 from tests.support.tiny import FRAME_SKIP, tiny_changes
 from training.algorithms.batd3 import BATD3, WithoutAssistance
+from training.algorithms.bc import BehaviourCloning, imitate
 from training.algorithms.clasp import CLASP
 from training.algorithms.drldr import DRLDR
 from training.algorithms.rbl import RBL
 from training.algorithms.registry import ALGORITHMS, own_numbers
 from training.algorithms.td3 import TD3
+from training.config.learner import Cloning
 from training.config.run_description import Changes
 from training.experience.replay import Batch
 from training.run.train_options import Train
 from training.run.trainer import train
 
 Make = Callable[..., TD3[Any]]
+
+
+def _value(
+    algorithm: TD3[Any], member: int, encoded: torch.Tensor, action: torch.Tensor
+) -> torch.Tensor:
+    return algorithm.target_critics(encoded, action, [member])[0]
+
+
+def test_td3_bootstraps_from_the_least_of_all_critics(make: Make, small_batch: Batch) -> None:
+    td3, batch = make(TD3, critics=3, target_critics=3), small_batch
+    encoded = td3.actor.encoder(batch.next_observation)
+    action = td3.target_actor(encoded)
+    expected = torch.stack([_value(td3, i, encoded, action) for i in range(3)]).min(0).values
+    with torch.no_grad():
+        torch.testing.assert_close(td3.next_value(encoded, batch), expected)
+
+
+def test_redq_draws_every_pair_of_critics_alike(make: Make, small_batch: Batch) -> None:
+    td3, batch = make(TD3, critics=3, target_critics=2), small_batch
+    encoded = td3.actor.encoder(batch.next_observation)
+    action = td3.target_actor(encoded)
+    values = torch.stack([_value(td3, i, encoded, action) for i in range(3)])
+    pairs = torch.stack([values[[i, j]].min(0).values for i, j in ((0, 1), (0, 2), (1, 2))])
+    with torch.no_grad():
+        mean = torch.stack([td3.target_value(encoded, action) for _ in range(600)]).mean(0)
+    spread = pairs.std(0) / np.sqrt(600)
+    assert ((mean - pairs.mean(0)).abs() < 5 * spread + 1e-6).all()
+
+
+def test_target_noise_is_clipped(make: Make, small_batch: Batch) -> None:
+    td3, batch = make(TD3, target_noise=5.0, noise_clip=0.3), small_batch
+    encoded = td3.actor.encoder(batch.next_observation)
+    difference = td3.smoothed_target_action(encoded) - td3.target_actor(encoded)
+    assert difference.abs().max() <= 0.3 + 1e-6
+    assert difference.abs().max() > 0.29
+
+
+def test_batd3_draws_between_clone_and_policy_by_softmax(make: Make, small_batch: Batch) -> None:
+    batd3, batch = make(BATD3, critics=2, target_critics=2, softmax_temperature=10.0), small_batch
+    encoded = batd3.actor.encoder(batch.next_observation)
+    with torch.no_grad():
+        clone = batd3.target_value(encoded, batch.next_bc_action)
+        policy = batd3.target_value(encoded, batd3.target_actor(encoded))
+        drawn = torch.stack([batd3.next_value(encoded, batch) for _ in range(4000)])
+    # Eq. (6) as printed, exponentials and all.
+    probability = torch.exp(10 * clone) / (torch.exp(10 * clone) + torch.exp(10 * policy))
+    is_clone = torch.isclose(drawn, clone)
+    assert (is_clone | torch.isclose(drawn, policy)).all()
+    spread = torch.sqrt(probability * (1 - probability) / 4000)
+    assert ((is_clone.float().mean(0) - probability).abs() < 5 * spread + 1e-3).all()
+
+
 LEARNERS = {name: one.learner for name, one in ALGORITHMS.items() if one.learner}
 
 
@@ -187,3 +243,39 @@ def test_what_rlpd_and_her_have_of_their_own() -> None:
         assert her == {**own_numbers("td3", preset).model_dump(), "hindsight": 4}
     pair = own_numbers("batd3-no-ensemble", "paper-reading").model_dump()
     assert pair["critics"] == 2
+
+
+def test_clone_learns_a_known_policy(small_robot: Robot) -> None:
+    torch.manual_seed(0)
+    observations = torch.randn(400, observation_size(small_robot)) * 0.1
+    pull = torch.sigmoid(10 * observations[:, :1])
+    commands = -pull * torch.tensor([5.0, 2.5, 0.0, 5.0])
+    learner = Cloning(bc_updates=500, bc_learning_rate=3e-3, batch_size=128, hidden=(64, 64))
+    clone = BehaviourCloning(small_robot, learner, torch.Generator().manual_seed(0))
+    losses: list[float] = []
+    clone.fit(observations, commands, lambda _, loss: losses.append(loss))
+    error = (clone.actor.command(observations) - commands).abs().mean().item()
+    assert error < 0.1  # of commands up to 5 m
+    # Eq. (4) on actions in [-1, 1], which are commands over eta / 2.
+    assert losses[-1] == pytest.approx(
+        ((clone.actor.command(observations) - commands) / 2.5).square().mean(), rel=0.5
+    )
+    assert not any(p.requires_grad for p in clone.actor.parameters())
+
+
+def test_imitation_is_the_same_for_clone_and_actor(small_robot: Robot) -> None:
+    learner = Cloning(hidden=(16,), bc_updates=30)
+    generator = torch.Generator().manual_seed(1)
+    observations = torch.randn(50, observation_size(small_robot), generator=generator)
+    commands = -5 * torch.rand(50, small_robot.num_cables, generator=generator)
+    torch.manual_seed(0)
+    clone = BehaviourCloning(small_robot, learner, torch.Generator().manual_seed(2))
+    before = ((clone.actor.command(observations) - commands) ** 2).mean()
+    torch.manual_seed(0)
+    other = BehaviourCloning(small_robot, learner, torch.Generator().manual_seed(2)).actor
+    clone.fit(observations, commands, lambda *_: None)
+    imitate(
+        other, learner, observations, commands, torch.Generator().manual_seed(2), lambda *_: None
+    )
+    torch.testing.assert_close(clone.actor.command(observations), other.command(observations))
+    assert ((other.command(observations) - commands) ** 2).mean() < before
