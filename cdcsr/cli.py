@@ -114,7 +114,7 @@ def run(function: Callable[..., Any], prog: str, argv: Sequence[str]) -> int:
     return 0
 
 
-def _checking_files(function: Callable[..., Any]) -> Callable[..., Any]:
+def _checking_files(function: Callable[..., object]) -> Callable[..., object]:
     """Make a function check the files that it writes at its end before it begins."""
 
     @functools.wraps(function)

@@ -20,6 +20,8 @@ from typing import Any
 from cdcsr.errors import CdcsrError
 from cdcsr.locks import lock
 
+JsonObject = dict[str, Any]
+"""An object read from JSON; whoever reads it knows its values."""
 _MARKER = ".cdcsr"
 """This file names the kind of a folder that :func:`new_folder` made."""
 
@@ -57,7 +59,7 @@ def write_json(path: Path, data: object) -> None:
     write_text(path, json.dumps(data, indent=2, allow_nan=False, default=_plain) + "\n")
 
 
-def read_json(path: Path) -> dict[str, Any]:
+def read_json(path: Path) -> JsonObject:
     """Return the object in a JSON file.
 
     Raises:

@@ -9,7 +9,7 @@ import io
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Literal
 
 import matplotlib
 from matplotlib.figure import Figure
@@ -23,7 +23,7 @@ INK, SOFT = "#333333", "#999999"
 """Colours of text, and of lines that should not stand out."""
 COLORS = ("#1f5fa8", "#d9822b", "#7b4fa3", "#2f8f83", "#a23b5c", "#6b6b6b", "#8a7a1f", "#4a9bd4")
 """Colours of curves, in the order in which they are used."""
-_STYLE: dict[RcKeyType, Any] = {
+_STYLE: dict[RcKeyType, object] = {
     "font.size": 10.0,
     "axes.titlesize": 10.0,
     "axes.edgecolor": SOFT,

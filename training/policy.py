@@ -15,7 +15,7 @@ from copy import copy
 from importlib import resources
 from importlib.metadata import version
 from pathlib import Path
-from typing import Any, get_args
+from typing import get_args
 
 import numpy as np
 import torch
@@ -24,7 +24,7 @@ from safetensors import SafetensorError
 from safetensors.torch import load_file, save
 
 from cdcsr.errors import CdcsrError, unknown_choice
-from cdcsr.files import write_bytes, write_json
+from cdcsr.files import JsonObject, write_bytes, write_json
 from cdcsr.robot.description import Robot, parse_robot
 from cdcsr.simulation.contract import State
 from cdcsr.tasks.observation import observe
@@ -46,7 +46,7 @@ class Policy(Controller):
         card: how it was trained, as plain data.
     """
 
-    def __init__(self, actor: Actor, robot: Robot, centers: Array, card: dict[str, Any]) -> None:
+    def __init__(self, actor: Actor, robot: Robot, centers: Array, card: JsonObject) -> None:
         self.actor, self.robot, self.card = actor, robot, card
         self.name, self.task = str(card["name"]), str(card.get("task", "reach"))
         self.space, self.engine = str(card["space"]), str(card["backend"])

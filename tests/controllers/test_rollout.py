@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from types import SimpleNamespace
-from typing import Any, cast
+from typing import cast
 
 import numpy as np
 import pytest
@@ -65,7 +65,7 @@ class Scripted:
         )
         self._last, self._taken = np.array(last), 0
 
-    def step(self, action: Array) -> tuple[Any, ...]:
+    def step(self, action: Array) -> tuple[object, ...]:
         k = self._taken
         self._taken += 1
         self.targets += 1.0

@@ -18,7 +18,7 @@ Row = tuple[str, str, str, float, str]
 """Engine, space, axis, level, and the outcomes of its episodes as in "110"."""
 
 
-def write_csv(path: Path, head: Sequence[str], rows: Iterable[Sequence[Any]]) -> None:
+def write_csv(path: Path, head: Sequence[str], rows: Iterable[Sequence[object]]) -> None:
     with path.open("w", newline="", encoding="utf-8") as file:
         csv.writer(file).writerows([head, *rows])
 
@@ -28,7 +28,8 @@ def write_run(
     name: str,
     evaluations: Mapping[str, Sequence[Row]],
     curve: Sequence[tuple[int, float]] = (),
-    **spec: Any,
+    /,
+    **spec: object,
 ) -> Path:
     """A finished run; successes take 100 steps."""
     folder = study / name
@@ -76,7 +77,7 @@ def nominal(outcomes: str, space: str = "anchor", backend: str = "mujoco") -> Ro
     return backend, space, "nominal", 0, outcomes
 
 
-def find(table: Table, **wanted: Any) -> dict[str, Any]:
+def find(table: Table, **wanted: object) -> dict[str, Any]:
     """The one row with these values, by head."""
     rows = [dict(zip(table.head, row, strict=True)) for row in table.rows]
     (row,) = [

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -16,6 +17,8 @@ from training.policy import Policy
 from training.study.declare.budgets import Budget
 from training.study.execute.jobs import Job
 
+Options = dict[str, Any]
+"""Keyword arguments of any types."""
 FRAME_SKIP = 10
 """Episodes of 25 actions, so that some end within a short run."""
 TINY = {"batch_size": 32, "bc_rollouts": 4, "bc_updates": 100, "hidden": (16, 16), "num_envs": 4}

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any
 
 import pytest
 import torch
@@ -14,7 +13,7 @@ from cdcsr.tasks.observation import observation_size
 from tests.support.small_study import small_study
 from tests.support.tiny import FRAME_SKIP, untrained_policy
 from training.algorithms.registry import ALGORITHMS
-from training.algorithms.td3 import TD3
+from training.algorithms.td3 import TD3, BackboneNumbers
 from training.commands.demonstrate import demonstrate
 from training.experience.replay import Batch
 from training.policy import Policy
@@ -57,16 +56,17 @@ def demonstrations(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.fixture
-def make(small_robot: Robot) -> Callable[..., TD3[Any]]:
+def make(small_robot: Robot) -> Callable[..., TD3[BackboneNumbers]]:
     """Make algorithms with two layers of 16, no target noise and always the same weights."""
 
-    def make(kind: type[TD3[Any]], **numbers: object) -> TD3[Any]:
+    def make(kind: type[TD3[BackboneNumbers]], **numbers: object) -> TD3[BackboneNumbers]:
         torch.manual_seed(3)
         (own,) = {
             one.numbers for one in ALGORITHMS.values() if one.learner is kind and not one.tuned
         }
         usual = {"hidden": (16, 16), "target_noise": 0.0, "batch_size": _SIZE}
         learner = own(**{**usual, **numbers})
+        assert isinstance(learner, BackboneNumbers)
         return kind(small_robot, learner, torch.Generator().manual_seed(0))
 
     return make

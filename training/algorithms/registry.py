@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Any
 
 from cdcsr.errors import CdcsrError, unknown_choice
 from cdcsr.plots import COLORS, INK, SOFT
@@ -38,7 +37,7 @@ class Algorithm:
     """The colour of its curves."""
     numbers: type[Network]
     """The class of its numbers, with the defaults of the preset `paper-reading`."""
-    learner: type[TD3[Any]] | None = None
+    learner: type[TD3[BackboneNumbers]] | None = None
     """The class that updates; None for behaviour cloning, which is supervised."""
     tuned: Mapping[str, object] = field(default_factory=dict)
     """Numbers of its own in the preset `tuned`."""

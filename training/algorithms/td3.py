@@ -68,10 +68,10 @@ class TD3Numbers(BackboneNumbers):
     """Clip targets to [0, 1], where the values of a sparse reward lie."""
 
 
-N = TypeVar("N", bound=BackboneNumbers)
+N_co = TypeVar("N_co", bound=BackboneNumbers, covariant=True)
 
 
-class TD3(Generic[N]):
+class TD3(Generic[N_co]):
     """A deterministic actor and E critics with target copies.
 
     A variant overrides `next_value` (what a target bootstraps from) or `policy_loss`, and says by
@@ -92,7 +92,7 @@ class TD3(Generic[N]):
     reward: ClassVar[Reward] = "sparse"
     """The reward that is learned from."""
 
-    def __init__(self, robot: Robot, learner: N, generator: torch.Generator) -> None:
+    def __init__(self, robot: Robot, learner: N_co, generator: torch.Generator) -> None:
         self.learner = learner
         self.actor = Actor(
             robot, learner.features == "state+error", learner.hidden, "relu", learner.symmetry

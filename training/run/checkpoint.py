@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, TypedDict
 
 import numpy as np
 import torch
@@ -13,24 +13,34 @@ from safetensors import SafetensorError, safe_open
 from safetensors.torch import save_file
 
 from cdcsr.errors import CdcsrError
-from training.algorithms.td3 import TD3
+from training.algorithms.td3 import TD3, BackboneNumbers
 from training.experience.collector import Collector
 from training.experience.mixed_replay import MixedReplay
 
 _META = "run"
 
 
+class Counters(TypedDict):
+    """Where a run stands."""
+
+    update: int
+    environment_steps: int
+    minutes: float
+    recent: list[int]
+    """1 for each success of the last episodes, and 0 for each failure."""
+
+
 class Parts(NamedTuple):
     """The parts that learning changes; a checkpoint holds all of them."""
 
-    algorithm: TD3[Any]
+    algorithm: TD3[BackboneNumbers]
     replay: MixedReplay
     collector: Collector
     generators: dict[str, np.random.Generator]
     torch_generator: torch.Generator
 
 
-def save_state(path: Path, parts: Parts, counters: dict[str, Any]) -> None:
+def save_state(path: Path, parts: Parts, counters: Counters) -> None:
     """Write the state of a run; the file is complete or, if interrupted, still the one before."""
     tensors: dict[str, torch.Tensor] = {"torch_generator": parts.torch_generator.get_state()}
     for name, module in _modules(parts.algorithm).items():
@@ -65,7 +75,7 @@ def save_state(path: Path, parts: Parts, counters: dict[str, Any]) -> None:
     temporary.replace(path)
 
 
-def load_state(path: Path, parts: Parts) -> dict[str, Any]:
+def load_state(path: Path, parts: Parts) -> Counters:
     """Put a run back to the state in a file; returns its counters.
 
     Raises:
@@ -111,7 +121,7 @@ def _below(tensors: dict[str, torch.Tensor], prefix: str) -> dict[str, torch.Ten
     }
 
 
-def _modules(algorithm: TD3[Any]) -> dict[str, torch.nn.Module]:
+def _modules(algorithm: TD3[BackboneNumbers]) -> dict[str, torch.nn.Module]:
     return {
         "actor": algorithm.actor,
         "critics": algorithm.critics,
@@ -120,7 +130,7 @@ def _modules(algorithm: TD3[Any]) -> dict[str, torch.nn.Module]:
     }
 
 
-def _optimizers(algorithm: TD3[Any]) -> dict[str, torch.optim.Optimizer]:
+def _optimizers(algorithm: TD3[BackboneNumbers]) -> dict[str, torch.optim.Optimizer]:
     return {
         "actor_optimizer": algorithm.actor_optimizer,
         "critic_optimizer": algorithm.critic_optimizer,

@@ -7,7 +7,6 @@ from collections import deque
 from collections.abc import Iterator
 from contextlib import contextmanager
 from functools import partial
-from typing import Any
 
 import numpy as np
 import torch
@@ -27,7 +26,7 @@ from training.experience.collector import Collector, FinishedEpisode, exploratio
 from training.experience.mixed_replay import MixedReplay
 from training.networks.actor import Actor
 from training.policy import Policy, load_policy
-from training.run.checkpoint import Parts, load_state, save_state
+from training.run.checkpoint import Counters, Parts, load_state, save_state
 from training.run.metrics import Meter, Metrics
 from training.run.setup import Setup, as_tensor
 from training.run.train_options import RUN_FOLDER, Train, read_older
@@ -94,7 +93,7 @@ class Run:
         self.setup.policy(clone.actor, "bc").save(self.folder / "clone")
         return clone
 
-    def _learn(self, kind: type[TD3[Any]], clone: BehaviourCloning | None) -> Policy:
+    def _learn(self, kind: type[TD3[BackboneNumbers]], clone: BehaviourCloning | None) -> Policy:
         """Collect, store and update until the updates or the minutes are used up."""
         config, learner = self.config, self.setup.learner
         assert isinstance(learner, BackboneNumbers)
@@ -132,7 +131,7 @@ class Run:
                 stopped = not done and self._out_of_time()
                 due = config.evaluate_every and update % config.evaluate_every == 0
                 if done or stopped or due:
-                    counters = {
+                    counters: Counters = {
                         "update": update,
                         "environment_steps": _environment_steps(learner, update),
                         "minutes": self._minutes(),
@@ -152,7 +151,10 @@ class Run:
         return policy
 
     def _parts(
-        self, kind: type[TD3[Any]], learner: BackboneNumbers, clone: BehaviourCloning | None
+        self,
+        kind: type[TD3[BackboneNumbers]],
+        learner: BackboneNumbers,
+        clone: BehaviourCloning | None,
     ) -> tuple[Parts, TaskVectorEnv]:
         """Make what learning changes, and the environments, which have begun."""
         config, robot = self.config, self.setup.robot
@@ -208,7 +210,7 @@ class Run:
                 imitate(algorithm.actor, learner, *setup.pairs(), parts.torch_generator, progress)
             algorithm.target_actor.load_state_dict(algorithm.actor.state_dict())
 
-    def _measure(self, actor: Actor, counters: dict[str, Any], meter: Meter) -> dict[str, float]:
+    def _measure(self, actor: Actor, counters: Counters, meter: Meter) -> dict[str, float]:
         """Save the policy as it is now, and return a row of metrics."""
         policy = self.setup.policy(actor, self.config.algorithm)
         policy.save(self.folder)

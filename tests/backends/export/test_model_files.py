@@ -6,12 +6,12 @@ import json
 import subprocess
 import sys
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
 
 from cdcsr.errors import CdcsrError
+from cdcsr.files import JsonObject
 from cdcsr.robot.description import Robot, load_robot, shipped_robots
 from cdcsr.robot.routing import routing
 from tests.support.physics import described_bodies
@@ -55,7 +55,7 @@ print(json.dumps({{
 """
 
 
-def plain(code: str, file: Path, folder: Path) -> dict[str, Any]:
+def plain(code: str, file: Path, folder: Path) -> JsonObject:
     """Return what an engine reads from a file, in a process without this package, in another
     folder."""
     command = [sys.executable, "-c", code, str(file)]
@@ -89,7 +89,7 @@ def test_it_writes_the_promised_files(built: tuple[str, Path]) -> None:
     assert (out / f"{name}.glb").read_bytes()[:4] == b"glTF"
 
 
-def check_bodies(found: dict[str, Any], robot: Robot, summary: dict[str, Any]) -> None:
+def check_bodies(found: JsonObject, robot: Robot, summary: JsonObject) -> None:
     """Compare masses, centre of mass and degrees of freedom."""
     expected = [mass for _, mass, _, _ in described_bodies(robot)]
     np.testing.assert_allclose(sorted(found["masses"]), sorted(expected), rtol=1e-12)

@@ -7,7 +7,6 @@ import dataclasses
 import json
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -23,12 +22,13 @@ from backends.parity.report import Parity, measure, show
 from backends.parity.trajectories import Commands, random_commands
 from backends.pybullet.simulation import PybulletSimulation
 from cdcsr.cli import run
+from cdcsr.files import JsonObject
 from cdcsr.robot.description import Robot, load_robot, shipped_robots
 from cdcsr.robot.routing import cable_lengths, routing
 from training.commands.parity import parity as command
 from training.measure.trajectories import demonstrator_commands
 
-Change = Callable[[dict[str, Any]], None]
+Change = Callable[[JsonObject], None]
 """Changes the plain data of a description in place."""
 ENGINES: Engines = {"mujoco": MujocoSimulation, "pybullet": PybulletSimulation}
 
@@ -61,7 +61,7 @@ def with_wrong_mujoco(change: Change) -> Engines:
 def scaled(section: str, key: str, factor: float) -> Change:
     """Return a change that multiplies a number of the first segment."""
 
-    def change(data: dict[str, Any]) -> None:
+    def change(data: JsonObject) -> None:
         data["segments"][0][section][key] *= factor
 
     return change

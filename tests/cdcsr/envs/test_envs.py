@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from inspect import signature
-from typing import Any, get_type_hints
+from typing import get_type_hints
 
 import gymnasium
 import numpy as np
@@ -14,7 +14,7 @@ from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.wrappers.vector import DictInfoToList
 
 from cdcsr.envs.disturbances import Disturbances
-from cdcsr.envs.gym_env import TaskEnv, TaskVectorEnv
+from cdcsr.envs.gym_env import Info, TaskEnv, TaskVectorEnv
 from cdcsr.envs.options import EnvOptions
 from cdcsr.errors import CdcsrError
 from cdcsr.robot.description import load_robot, shipped_robots
@@ -322,7 +322,7 @@ def test_the_seed_determines_the_disturbances_too() -> None:
         ({"num_envs": 0}, "at least one copy, not 0"),
     ],
 )
-def test_wrong_arguments_are_errors(kwargs: dict[str, Any], message: str) -> None:
+def test_wrong_arguments_are_errors(kwargs: Info, message: str) -> None:
     with pytest.raises(CdcsrError, match=message):
         gymnasium.make_vec("cdcsr/Reach-v0", **kwargs)
 

@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import gymnasium
 import numpy as np
 import pytest
 
 from cdcsr.envs.disturbances import Disturbances
-from cdcsr.envs.gym_env import TaskEnv, TaskVectorEnv
+from cdcsr.envs.gym_env import Info, TaskEnv, TaskVectorEnv
 from cdcsr.envs.options import EnvOptions
 from cdcsr.envs.rng_state import pack_generator, unpack_generator
 from cdcsr.errors import CdcsrError
@@ -35,7 +33,7 @@ _SMALL = "planar-single"
         ("Follow", {"motion": "circle"}, "follow-circle", 1000),
     ],
 )
-def test_ids_give_tasks(name: str, arguments: dict[str, Any], task: str, steps: int) -> None:
+def test_ids_give_tasks(name: str, arguments: Info, task: str, steps: int) -> None:
     one = gymnasium.make(f"cdcsr/{name}-v0", robot=_SMALL, **arguments).unwrapped
     many = gymnasium.make_vec(f"cdcsr/{name}-v0", num_envs=2, robot=_SMALL, **arguments)
     assert isinstance(one, TaskEnv)

@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -22,18 +21,18 @@ from training.algorithms.clasp import CLASP
 from training.algorithms.drldr import DRLDR
 from training.algorithms.rbl import RBL
 from training.algorithms.registry import ALGORITHMS, own_numbers
-from training.algorithms.td3 import TD3
+from training.algorithms.td3 import TD3, BackboneNumbers
 from training.config.learner import Cloning
 from training.config.run_description import Changes
 from training.experience.replay import Batch
 from training.run.train_options import Train
 from training.run.trainer import train
 
-Make = Callable[..., TD3[Any]]
+Make = Callable[..., TD3[BackboneNumbers]]
 
 
 def _value(
-    algorithm: TD3[Any], member: int, encoded: torch.Tensor, action: torch.Tensor
+    algorithm: TD3[BackboneNumbers], member: int, encoded: torch.Tensor, action: torch.Tensor
 ) -> torch.Tensor:
     return algorithm.target_critics(encoded, action, [member])[0]
 
@@ -85,7 +84,9 @@ def test_batd3_draws_between_clone_and_policy_by_softmax(make: Make, small_batch
 LEARNERS = {name: one.learner for name, one in ALGORITHMS.items() if one.learner}
 
 
-def _values(algorithm: TD3[Any], encoded: torch.Tensor, action: torch.Tensor) -> torch.Tensor:
+def _values(
+    algorithm: TD3[BackboneNumbers], encoded: torch.Tensor, action: torch.Tensor
+) -> torch.Tensor:
     """Return the values of all critics, shape (E, B)."""
     return algorithm.critics(encoded, action)
 
@@ -161,7 +162,7 @@ def test_clasp_lets_go_of_the_clone_linearly(
 
 @pytest.mark.parametrize(("kind", "critics"), [(CLASP, 1), (BATD3, 2)])
 def test_what_went_better_than_expected_is_imitated_by_how_much(
-    make: Make, small_batch: Batch, kind: type[TD3[Any]], critics: int
+    make: Make, small_batch: Batch, kind: type[TD3[BackboneNumbers]], critics: int
 ) -> None:
     learner = make(
         kind, critics=critics, target_critics=critics, self_imitation=3.0, clone_anchor=0.0

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Any, get_args
+from typing import get_args
 
 import pytest
 import torch
@@ -19,12 +19,14 @@ from training.algorithms.td3 import TD3, BackboneNumbers
 from training.config.run_description import PresetName
 from training.experience.replay import Batch
 
-Make = Callable[..., TD3[Any]]
+Make = Callable[..., TD3[BackboneNumbers]]
 ROWS = 32
 LEARNERS = {name: one.learner for name, one in ALGORITHMS.items() if one.learner}
 
 
-def _stacks(algorithm: TD3[Any]) -> tuple[list[Layer], list[Layer], list[Layer], list[Layer]]:
+def _stacks(
+    algorithm: TD3[BackboneNumbers],
+) -> tuple[list[Layer], list[Layer], list[Layer], list[Layer]]:
     """Copy actor, critics, target actor and target critics."""
     actors = algorithm.actor, algorithm.target_actor
     critics = algorithm.critics.ensemble, algorithm.target_critics.ensemble

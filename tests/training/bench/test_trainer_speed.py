@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import sys
-from typing import Any
 
 import pytest
 import torch
@@ -59,7 +58,7 @@ def test_the_speed_of_the_others_in_bfloat16_is_taken_in_bfloat16(
     kinds: list[bool] = []
 
     class Seen(BATD3):
-        def __init__(self, *given: Any) -> None:
+        def __init__(self, *given: BATD3Numbers) -> None:
             kinds.append(given[1].bfloat16)
 
     monkeypatch.setitem(ALGORITHMS, "batd3", Algorithm("BATD3", "", BATD3Numbers, Seen))

@@ -5,14 +5,15 @@ from __future__ import annotations
 import json
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
 
 from cdcsr import cli
+from cdcsr.envs.gym_env import TaskVectorEnv
 from cdcsr.robot.description import load_robot
 from cdcsr.tasks.spaces import make_space
+from controllers.controller import Controller
 from controllers.search import Outcome
 from training.config.seeds import TEST_SEED
 
@@ -32,13 +33,13 @@ def test_each_held_out_target_is_searched_by_itself(
     wishes: list[Callable[[Outcome], bool]] = []
 
     def improve(
-        _: Any,
-        env: Any,
+        _: Controller,
+        env: TaskVectorEnv,
         target: np.ndarray,
         rounds: int,
         seed: int,
         wanted: Callable[[Outcome], bool],
-    ) -> Any:
+    ) -> tuple[Outcome, Outcome]:
         assert env.num_envs == 48
         asked.append((target.copy(), rounds, seed))
         wishes.append(wanted)

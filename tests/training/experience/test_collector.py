@@ -11,7 +11,7 @@ import pytest
 import torch
 from numpy.typing import ArrayLike, NDArray
 
-from cdcsr.envs.gym_env import TaskVectorEnv
+from cdcsr.envs.gym_env import Info, TaskVectorEnv
 from cdcsr.robot.description import Robot, load_robot
 from cdcsr.tasks.catalogue import Capture, make_task
 from tests.support.tiny import FRAME_SKIP
@@ -107,12 +107,12 @@ class _LoggedEnv(TaskVectorEnv):
 
     log: list[list[list[_Step]]]
 
-    def reset(self, **options: Any) -> tuple[Array, dict[str, Any]]:
+    def reset(self, **options: Any) -> tuple[Array, Info]:
         self._seen, info = super().reset(**options)
         self.log = [[[]] for _ in range(self.num_envs)]
         return self._seen.copy(), info
 
-    def step(self, actions: ArrayLike) -> tuple[Array, Array, Mask, Mask, dict[str, Any]]:
+    def step(self, actions: ArrayLike) -> tuple[Array, Array, Mask, Mask, Info]:
         answer = observation, reward, terminated, truncated, info = super().step(actions)
         for i, episodes in enumerate(self.log):
             ended = terminated[i] or truncated[i]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import inspect
+from types import ModuleType
 from typing import Any
 
 import numpy as np
@@ -15,6 +16,7 @@ from cdcsr.robot.description import Robot
 from cdcsr.simulation.contract import Simulation
 from controllers.jacobian import JacobianController
 from tests.support.controllers import Still
+from tests.support.tiny import Options
 from training.measure import evaluation
 from training.measure import plant_sweep as sweeps
 from training.measure import transfer_matrix as transfer
@@ -35,12 +37,12 @@ def result(successes: int, total: int = 4, length: int = 100) -> Result:
 
 
 def spy(
-    monkeypatch: pytest.MonkeyPatch, module: Any, successes: dict[float, int]
-) -> list[dict[str, Any]]:
+    monkeypatch: pytest.MonkeyPatch, module: ModuleType, successes: dict[float, int]
+) -> list[Options]:
     """Note the arguments of `evaluate`; the mass of the links gives how many episodes succeed."""
-    asked: list[dict[str, Any]] = []
+    asked: list[Options] = []
 
-    def measured(*arguments: Any, **options: Any) -> Result:
+    def measured(*arguments: object, **options: object) -> Result:
         bound = inspect.signature(evaluate).bind(*arguments, **options)
         bound.apply_defaults()
         asked.append(bound.arguments)
@@ -100,9 +102,9 @@ def test_a_failure_counts_in_full_for_its_task(task: str, steps: int, small_robo
 
 
 @pytest.fixture
-def made(monkeypatch: pytest.MonkeyPatch) -> list[dict[str, Any]]:
+def made(monkeypatch: pytest.MonkeyPatch) -> list[Options]:
     """Collects the options with which environments are made."""
-    options_made: list[dict[str, Any]] = []
+    options_made: list[Options] = []
 
     class Noted(TaskVectorEnv):
         def __init__(self, *arguments: Any, **options: Any) -> None:
@@ -114,7 +116,7 @@ def made(monkeypatch: pytest.MonkeyPatch) -> list[dict[str, Any]]:
 
 
 def test_centers_and_frame_skip_are_the_controllers_unless_given(
-    made: list[dict[str, Any]], policy: Policy, paper: Robot
+    made: list[Options], policy: Policy, paper: Robot
 ) -> None:
     evaluate(policy, paper, "mujoco", "floating", 1)
     evaluate(JacobianController(paper), paper, "mujoco", "floating", 1)
@@ -126,7 +128,7 @@ def test_centers_and_frame_skip_are_the_controllers_unless_given(
 
 
 def test_a_plant_adds_its_delay_to_the_disturbances(
-    made: list[dict[str, Any]], small_robot: Robot
+    made: list[Options], small_robot: Robot
 ) -> None:
     noise = Disturbances(action_noise=0.1, observation_delay=1)
     for plant in (None, ActualPlant(small_robot, observation_delay=4)):
@@ -139,7 +141,7 @@ def test_a_plant_adds_its_delay_to_the_disturbances(
 def test_soft_cables_leave_the_engines_other_settings_alone(
     small_robot: Robot, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    told: list[Any] = []
+    told: list[bool] = []
     monkeypatch.setattr(
         Simulation, "use_own_settings", lambda _, numbers=True: told.append(numbers)
     )

@@ -5,7 +5,6 @@ from __future__ import annotations
 import os
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any
 
 import pytest
 import torch
@@ -16,14 +15,14 @@ from torch.nn import functional
 from cdcsr.errors import CdcsrError
 from training.algorithms.batd3 import BATD3
 from training.algorithms.clasp import CLASP
-from training.algorithms.td3 import TD3
+from training.algorithms.td3 import TD3, BackboneNumbers
 from training.experience.replay import Batch
 from training.networks.bfloat16 import has_fast_bfloat16, matrix_products
 from training.networks.compiled_ensemble import Ensemble
 from training.run import setup, trainer
 from training.run.train_options import Train
 
-Make = Callable[..., TD3[Any]]
+Make = Callable[..., TD3[BackboneNumbers]]
 needs_bfloat16 = pytest.mark.skipif(
     not has_fast_bfloat16(), reason="this processor multiplies no faster in bfloat16"
 )
@@ -113,14 +112,14 @@ def test_critics_learn_from_rounded_factors_and_all_else_in_float32() -> None:
 @needs_bfloat16
 @pytest.mark.parametrize("kind", [BATD3, CLASP])
 def test_the_switch_is_for_updates_and_for_them_only(
-    kind: type[TD3[Any]], make: Make, small_batch: Batch
+    kind: type[TD3[BackboneNumbers]], make: Make, small_batch: Batch
 ) -> None:
     batch = Batch(*(part.repeat(16, *[1] * (part.ndim - 1)) for part in small_batch))
     fine, coarse = (
         make(kind, hidden=(64, 64), batch_size=64, bfloat16=bfloat16) for bfloat16 in (False, True)
     )
 
-    def act(learner: TD3[Any]) -> Tensor:
+    def act(learner: TD3[BackboneNumbers]) -> Tensor:
         with torch.no_grad():
             return learner.actor(learner.actor.encoder(batch.observation))
 

@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
 import torch
 from numpy.typing import NDArray
 
-from cdcsr.envs.gym_env import TaskVectorEnv
+from cdcsr.envs.gym_env import Info, TaskVectorEnv
 from cdcsr.errors import CdcsrError
 from cdcsr.robot.description import Robot, load_robot
 from cdcsr.simulation.engines import backend_names
@@ -101,8 +100,8 @@ class _NearPlane(TaskVectorEnv):
     """Two environments whose first targets are near a mirror plane."""
 
     def reset(
-        self, *, seed: int | None = None, options: dict[str, Any] | None = None
-    ) -> tuple[NDArray[np.float64], dict[str, Any]]:
+        self, *, seed: int | None = None, options: Info | None = None
+    ) -> tuple[NDArray[np.float64], Info]:
         targets = np.array([[0.01, 0.004, 2.5], [0.3, 0.02, 2.4]])
         return super().reset(seed=seed, options={"targets": targets})
 

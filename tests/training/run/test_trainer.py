@@ -7,6 +7,7 @@ import dataclasses
 import itertools
 import json
 import shutil
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -16,13 +17,13 @@ from gymnasium.vector import AutoresetMode
 from numpy.typing import NDArray
 from safetensors.torch import load_file
 
-from cdcsr.envs.gym_env import TaskVectorEnv
+from cdcsr.envs.gym_env import Info, TaskVectorEnv
 from cdcsr.errors import CdcsrError
 from cdcsr.robot.description import load_robot
-from tests.support.tiny import FRAME_SKIP, tiny_changes
+from tests.support.tiny import FRAME_SKIP, Options, tiny_changes
 from training.algorithms.bc import BehaviourCloning
 from training.commands.demonstrate import demonstrate
-from training.experience.collector import Collector
+from training.experience.collector import Collector, FinishedEpisode
 from training.measure.evaluation import Result
 from training.networks.actor import Actor
 from training.networks.bfloat16 import has_fast_bfloat16
@@ -42,7 +43,7 @@ def _config(
     numbers: dict[str, object] | None = None,
     **options: Any,
 ) -> Train:
-    usual: dict[str, Any] = {
+    usual = {
         "space": "spatter",
         "frame_skip": FRAME_SKIP,
         "evaluate_every": 20,
@@ -111,7 +112,7 @@ def test_a_stopped_run_goes_on_to_the_same_bits(
     demonstrations: Path,
     monkeypatch: pytest.MonkeyPatch,
     algorithm: str,
-    options: dict[str, Any],
+    options: Options,
 ) -> None:
     given = demonstrations
     if "task" in options:  # those are of reaching
@@ -165,7 +166,7 @@ def test_a_run_with_another_dataset_under_the_same_name_is_refused(
         {"frame_skip": 2},
     ],
 )
-def test_a_run_is_another_with_any_option_that_matters(other: dict[str, Any]) -> None:
+def test_a_run_is_another_with_any_option_that_matters(other: Options) -> None:
     config = _config(Path("run"), None)
     assert dataclasses.replace(config, **other).identity("f") != config.identity("f")
     assert dataclasses.replace(config, out=Path("x"), stop_after=1.0, force=True).identity(
@@ -193,7 +194,7 @@ def test_a_damaged_state_is_one_clear_line(tmp_path: Path, demonstrations: Path)
     "misspelt", [{"backend": "mujco"}, {"space": "anker"}, {"robot": "papre"}, {"task": "captur"}]
 )
 def test_a_misspelt_name_leaves_no_folder(
-    tmp_path: Path, demonstrations: Path, misspelt: dict[str, Any]
+    tmp_path: Path, demonstrations: Path, misspelt: Options
 ) -> None:
     with pytest.raises(CdcsrError, match="Unknown"):
         train(_config(tmp_path / "run", demonstrations, **misspelt))
@@ -218,7 +219,7 @@ def test_practice_is_past_the_space_and_measured_within_it(
 
     step, measure, reset = Collector.step, Setup.validate, TaskVectorEnv.reset
 
-    def watched_reset(self: TaskVectorEnv, **options: Any) -> Any:
+    def watched_reset(self: TaskVectorEnv, **options: Any) -> tuple[NDArray[np.float64], Info]:
         begun = reset(self, **options)
         if (
             self.metadata["autoreset_mode"] is AutoresetMode.DISABLED
@@ -226,7 +227,7 @@ def test_practice_is_past_the_space_and_measured_within_it(
             seen["shown"] += outside(self.targets)
         return begun
 
-    def watched_step(self: Collector, actor: Actor) -> Any:
+    def watched_step(self: Collector, actor: Actor) -> Iterator[FinishedEpisode]:
         seen["practised"] += outside(self.env.targets)
         return step(self, actor)
 

@@ -95,7 +95,13 @@ def do_one(text: str, runs: str, results: str) -> tuple[int, float]:
 
 
 def _conclude(
-    ray: Any, done: Any, job: Job, runs: Path, results: Path, outcome: Outcome, progress: Progress
+    ray: Any,
+    done: object,
+    job: Job,
+    runs: Path,
+    results: Path,
+    outcome: Outcome,
+    progress: Progress,
 ) -> None:
     try:
         code, minutes = ray.get(done)

@@ -6,7 +6,6 @@ import csv
 import io
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 
@@ -75,7 +74,7 @@ class Table:
             )
         return text.getvalue()
 
-    def as_dict(self) -> dict[str, Any]:
+    def as_dict(self) -> dict[str, object]:
         """Plain data."""
         rows = [
             [value.__dict__ if isinstance(value, Estimate | Spread) else value for value in row]
@@ -85,7 +84,7 @@ class Table:
 
 
 def measure(
-    runs: Sequence[Run], evaluation: str, engine: str | None = None, **wanted: Any
+    runs: Sequence[Run], evaluation: str, engine: str | None = None, **wanted: str | float
 ) -> Cell | None:
     """Return the results of some seeds in one evaluation; None if none of them has it.
 
@@ -189,7 +188,7 @@ def _names(name: str, kind: type) -> list[str]:
     return [name + suffix for suffix in suffixes.get(kind, ("",))]
 
 
-def _numbers(value: Value, kind: type) -> list[Any]:
+def _numbers(value: Value, kind: type) -> list[object]:
     if isinstance(value, Estimate):
         return [f"{x:.6g}" for x in (value.value, value.low, value.high)]
     if isinstance(value, Spread):

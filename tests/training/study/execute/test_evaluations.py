@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import inspect
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -16,7 +15,7 @@ from cdcsr.simulation.contract import State
 from cdcsr.tasks.spaces import make_space
 from cdcsr.tasks.target_motion import make_motion
 from controllers.controller import Controller, Target
-from tests.support.tiny import CENTERS
+from tests.support.tiny import CENTERS, Options
 from training.config.run_description import RunDescription
 from training.config.seeds import TEST_SEED
 from training.measure import evaluation
@@ -37,10 +36,10 @@ class Measured:
     """In place of `evaluate`: notes what is asked for, and answers at random."""
 
     def __init__(self) -> None:
-        self.asked: list[dict[str, Any]] = []
+        self.asked: list[Options] = []
         self.results: list[Result] = []
 
-    def __call__(self, *arguments: Any, **options: Any) -> Result:
+    def __call__(self, *arguments: object, **options: object) -> Result:
         bound = inspect.signature(evaluation.evaluate).bind(*arguments, **options)
         bound.apply_defaults()
         self.asked.append(bound.arguments)
@@ -76,7 +75,7 @@ def test_disturbances_are_table_4s_one_at_a_time_where_the_run_was_trained(
     assert {*cells} | {(axis, 0.0) for axis, _ in cells} == {
         (axis, level) for axis, level, _ in TABLE_4
     }
-    wanted: list[dict[str, Any]] = [{str(axis): level} for axis, level in cells]
+    wanted: list[Options] = [{str(axis): level} for axis, level in cells]
     assert [one["disturbances"] for one in measured.asked] == [
         Disturbances(**one) for one in wanted
     ]
@@ -154,9 +153,9 @@ def test_what_was_measured_is_what_is_read(
 def test_following_is_of_the_policy_in_its_space_and_read_as_it_was(
     policy: Policy, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    asked: list[dict[str, Any]] = []
+    asked: list[Options] = []
 
-    def followed(*arguments: Any, **options: Any) -> list[Following]:
+    def followed(*arguments: object, **options: object) -> list[Following]:
         bound = inspect.signature(following.follow).bind(*arguments, **options)
         bound.apply_defaults()
         asked.append(bound.arguments)

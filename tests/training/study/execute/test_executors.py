@@ -6,7 +6,7 @@ import json
 import subprocess
 import sys
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
@@ -108,10 +108,10 @@ class Cluster:
 
     exceptions = SimpleNamespace(RayError=LostError)
 
-    def __init__(self, ends: dict[str, Any]) -> None:
+    def __init__(self, ends: dict[str, tuple[int, float] | Exception]) -> None:
         self.ends, self.down = ends, False
 
-    def init(self, **_: Any) -> None:
+    def init(self, **_: object) -> None:
         pass
 
     def cluster_resources(self) -> dict[str, float]:
@@ -120,7 +120,7 @@ class Cluster:
     def nodes(self) -> list[int]:
         return [0]
 
-    def remote(self, **_: Any) -> Any:
+    def remote(self, **_: object) -> Callable[[object], SimpleNamespace]:
         return lambda _: SimpleNamespace(remote=lambda text, *_: Job.from_json(text).name)
 
     def wait(self, waiting: list[str]) -> tuple[list[str], list[str]]:
