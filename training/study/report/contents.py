@@ -8,7 +8,6 @@ from pathlib import Path
 
 from training.study.declare import grid
 from training.study.declare.budgets import BUDGETS
-from training.study.report.aggregate import aggregate
 from training.study.report.beside_paper import (
     Expected,
     beside_table_2,
@@ -17,12 +16,10 @@ from training.study.report.beside_paper import (
 )
 from training.study.report.cells import Table
 from training.study.report.engine_differences import differences, stock_settings
-from training.study.report.learning_curves import Figures, curve_figures, validation_points
+from training.study.report.learning_curves import Figures, curve_figures
 from training.study.report.nearness import nearness, nearness_figures
 from training.study.report.plant_plots import follow_figures, plant_figures
-from training.study.report.reachable import beside_demonstrator
 from training.study.report.records import Run
-from training.study.report.stored_commands import searches, shipped
 from training.study.report.tables import (
     ablation,
     comparison,
@@ -31,8 +28,16 @@ from training.study.report.tables import (
     robustness,
     transfer,
 )
-from training.study.report.tables_beyond import halvings, own_ablation, presets, raised, tasks
-from training.study.report.variant_plots import variant_figures
+from training.study.report.tables_beyond import (
+    aggregate,
+    halvings,
+    own_ablation,
+    presets,
+    raised,
+    searches,
+    shipped,
+    tasks,
+)
 
 PAPER_TABLES: tuple[Callable[[Sequence[Run], Expected | None], Table], ...] = (
     beside_table_2,
@@ -56,15 +61,12 @@ TABLES: tuple[Callable[[Sequence[Run]], Table], ...] = (
     nearness,
     differences,
     stock_settings,
-    beside_demonstrator,
-    validation_points,
 )
 """The other tables of the study's runs."""
 STORED_TABLES: tuple[Callable[[Path], Table], ...] = (searches, shipped)
 """Tables of what other commands stored in the folder of the results."""
 FIGURES: tuple[Callable[[Sequence[Run], Path], Figures], ...] = (
     curve_figures,
-    variant_figures,
     follow_figures,
     nearness_figures,
     plant_figures,

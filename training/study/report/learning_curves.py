@@ -1,4 +1,4 @@
-"""Learning curves of the study: Figs. 3 to 5 of the paper, and those of our method's variants."""
+"""Learning curves of the study: Figs. 3 to 5 of the paper."""
 
 from __future__ import annotations
 
@@ -17,21 +17,14 @@ from cdcsr.plots import drawn, short_count
 from cdcsr.simulation.engines import engine_title
 from training.algorithms.registry import algorithm_color, algorithm_title
 from training.config.run_description import RunDescription
-from training.measure.statistics import band, over_seeds
+from training.measure.statistics import band
 from training.study.declare.grid import ABLATIONS
 from training.study.report.cells import (
-    COST,
-    TRAINED,
-    Table,
-    Value,
     amount,
-    cost,
     measure,
-    trained,
     who,
 )
-from training.study.report.records import JACOBIAN, SPACES, Run, grouped, is_plain, is_usual
-from training.study.report.table_parts import basis
+from training.study.report.records import JACOBIAN, SPACES, Run, grouped, is_plain
 from training.study.report.tables import COUNTED, counted
 
 Array = NDArray[np.float64]
@@ -61,7 +54,7 @@ def curve_figures(runs: Sequence[Run], out: Path) -> Figures:
         ("fig5", "Fig. 5: number of demonstrations, Anchor Space", counted(runs), _by_algorithm),
     )
     for name, title, some, panel in chosen:
-        for (preset, engine, updates), part in sorted(by_kind(some).items()):
+        for (preset, engine, updates), part in sorted(_by_kind(some).items()):
             varied = [
                 (r.setting.algorithm, r.setting.changes, r.setting.num_demonstrations) for r in part
             ]
@@ -78,31 +71,11 @@ def curve_figures(runs: Sequence[Run], out: Path) -> Figures:
             yield (
                 file,
                 f"{title}; preset {preset}, trained in {engine_title(engine)}{length}."
-                f" {caption(part)}",
+                f" {_caption(part)}",
             )
 
 
-POINTS = (750, 1_500, 3_000, 6_000, 15_750)
-"""Updates of which the table of validation points tells the success."""
-
-
-def validation_points(runs: Sequence[Run]) -> Table:
-    """Build the table of success on validation targets after some numbers of updates."""
-    chosen = [run for run in runs if run.curve and is_usual(run.setting)]
-    rows: list[list[Value]] = []
-    for setting, group in grouped(chosen).items():
-        updates, curves = aligned(group)
-        points: list[Value] = [
-            over_seeds(curves[:, updates == point]) if (updates == point).any() else None
-            for point in POINTS
-        ]
-        rows.append([SPACES[setting.space], *trained(setting), *points, *cost(group)])
-    head = ("space", *TRAINED, *(f"κ after {point}" for point in POINTS), *COST)
-    title = "Success on validation targets while learning"
-    return Table("curves", title, basis(chosen), head, rows)
-
-
-def caption(runs: Sequence[Run]) -> str:
+def _caption(runs: Sequence[Run]) -> str:
     """Say what curves rest on."""
     minutes = np.mean([run.minutes for run in runs])
     seeds = amount(map(len, grouped(runs).values()), "seed")
@@ -163,7 +136,7 @@ def _draw(panels: Panels, path: Path, counts: bool) -> None:
         for axes, (title, groups) in zip(grid, shown.items(), strict=False):
             axes.set(title=title, xlabel="updates")
             for setting, group in groups.items():
-                draw_curve(
+                _draw_curve(
                     axes, setting, group, _label(setting, counts), *looks[_label(setting, counts)]
                 )
             axes.xaxis.set_major_formatter(short_count)
@@ -179,7 +152,7 @@ def _draw(panels: Panels, path: Path, counts: bool) -> None:
         legend(figure, min(5, 2 * total))
 
 
-def draw_curve(
+def _draw_curve(
     axes: Axes,
     setting: RunDescription,
     group: Sequence[Run],
@@ -265,7 +238,7 @@ def _by_algorithm(setting: RunDescription) -> str:
     return algorithm_title(setting.algorithm)
 
 
-def by_kind(runs: Sequence[Run]) -> dict[tuple[str, str, int], list[Run]]:
+def _by_kind(runs: Sequence[Run]) -> dict[tuple[str, str, int], list[Run]]:
     """Group runs by preset, engine and updates; the usual number of updates counts as 0."""
     lengths = Counter(
         (run.setting.preset, run.setting.backend, run.setting.updates) for run in runs

@@ -10,7 +10,7 @@ import numpy as np
 from cdcsr.simulation.engines import backend_names, engine_title
 from training.algorithms.registry import algorithm_title
 from training.measure.statistics import disagreement
-from training.study.report.cells import Value, amount, cost, measure, trained
+from training.study.report.cells import COST, TRAINED, Table, Value, amount, cost, measure, trained
 from training.study.report.records import SPACES, Run, at_home, grouped
 
 RESULT = ("κ", "IQM of κ", "l_epi")
@@ -41,7 +41,7 @@ def basis(runs: Sequence[Run]) -> str:
     )
 
 
-def home_rows(runs: Sequence[Run], space: str, wanted: Sequence[str]) -> Iterator[list[Value]]:
+def home_rows(runs: Sequence[Run], space: str, wanted: Sequence[str] = ()) -> Iterator[list[Value]]:
     """Yield the rows of one space, and one for each wanted algorithm that has no run there."""
     have = set()
     for setting, group in grouped(runs, "space").items():
@@ -52,6 +52,22 @@ def home_rows(runs: Sequence[Run], space: str, wanted: Sequence[str]) -> Iterato
     for algorithm in wanted:
         if algorithm not in have:
             yield [SPACES[space], *not_run(algorithm)]
+
+
+def home_table(
+    name: str, title: str, runs: Sequence[Run], wanted: Sequence[str] = (), remark: str = ""
+) -> Table:
+    """Build a table of success in the space and engine of training.
+
+    Args:
+        name: the name of its files.
+        title: its title.
+        runs: the runs it shows.
+        wanted: algorithms that get a row in every space, run or not.
+        remark: what its note says besides what it rests on.
+    """
+    rows = [row for space in SPACES for row in home_rows(runs, space, wanted)]
+    return Table(name, title, basis(runs) + remark, ("space", *TRAINED, *RESULT, *COST), rows)
 
 
 def result(seeds: Sequence[Run], space: str) -> list[Value]:
@@ -65,7 +81,12 @@ def success(seeds: Sequence[Run], evaluation: str, space: str, engine: str | Non
 
 
 def not_run(algorithm: str) -> list[Value]:
-    return [algorithm_title(algorithm), "-", engine_title("mujoco"), None, None, None, *cost(None)]
+    return [*not_trained(algorithm), None, None, None, *cost(None)]
+
+
+def not_trained(algorithm: str) -> list[Value]:
+    """Return the columns of :func:`trained` for an algorithm without a run."""
+    return [algorithm_title(algorithm), "-", engine_title("mujoco")]
 
 
 def engine_heads(engines: Sequence[str]) -> list[str]:

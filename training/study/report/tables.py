@@ -1,4 +1,4 @@
-"""The tables of the paper, made from the study's runs, and the list of all tables."""
+"""The tables of the paper, made from the study's runs."""
 
 from __future__ import annotations
 
@@ -7,8 +7,7 @@ from collections.abc import Iterable, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from cdcsr.simulation.engines import engine_title
-from training.algorithms.registry import ALGORITHMS, algorithm_title
+from training.algorithms.registry import ALGORITHMS
 from training.measure.statistics import rate
 from training.study.declare.grid import ABLATIONS, AROUND, COUNTS
 from training.study.declare.learner_changes import OURS
@@ -31,9 +30,10 @@ from training.study.report.table_parts import (
     basis,
     engine_heads,
     engines_of,
-    home_rows,
+    home_table,
     in_engines,
     not_run,
+    not_trained,
     result,
     success,
 )
@@ -51,21 +51,17 @@ ALL_COUNTS = tuple(sorted((*COUNTS, DEMONSTRATIONS)))
 def comparison(runs: Sequence[Run]) -> Table:
     """Return Table II: every algorithm in the space and engine it was trained in."""
     chosen = [run for run in runs if is_plain(run.setting)]
-    rows = [row for space in SPACES for row in home_rows(chosen, space, COMPARED)]
-    return Table(
-        "table2", "Table II: comparison", basis(chosen), ("space", *TRAINED, *RESULT, *COST), rows
-    )
+    return home_table("table2", "Table II: comparison", chosen, COMPARED)
 
 
 def ablation(runs: Sequence[Run]) -> Table:
     """Return Fig. 4 in numbers: BATD3 without each of its parts."""
     chosen = [run for run in runs if is_plain(run.setting) and run.setting.algorithm in ABLATIONS]
-    rows = [row for space in SPACES for row in home_rows(chosen, space, ABLATIONS)]
-    note = (
-        f"{basis(chosen)} Without ensemble, the preset `paper-reading` keeps TD3's two critics, "
-        "and `tuned` a single one."
+    remark = (
+        " Without ensemble, the preset `paper-reading` keeps TD3's two critics, and `tuned` a "
+        "single one."
     )
-    return Table("ablation", "Ablations of BATD3", note, ("space", *TRAINED, *RESULT, *COST), rows)
+    return home_table("ablation", "Ablations of BATD3", chosen, ABLATIONS, remark)
 
 
 def demonstrations(runs: Sequence[Run]) -> Table:
@@ -73,77 +69,41 @@ def demonstrations(runs: Sequence[Run]) -> Table:
     chosen = counted(runs)
     rows: list[list[Value]] = []
     for setting, group in grouped(chosen).items():
-        rows.append(
-            [
-                setting.num_demonstrations,
-                *trained(setting),
-                *result(group, space="anchor"),
-                *cost(group),
-            ]
-        )
+        values = [*trained(setting), *result(group, space="anchor"), *cost(group)]
+        rows.append([setting.num_demonstrations, *values])
     have = {(run.setting.algorithm, run.setting.num_demonstrations) for run in chosen}
     for algorithm in COUNTED:
         rows += [
             [count, *not_run(algorithm)] for count in ALL_COUNTS if (algorithm, count) not in have
         ]
     head = ("demonstrations", *TRAINED, *RESULT, *COST)
-    return Table(
-        "demonstrations",
-        "Fig. 5 in numbers: demonstrations, Anchor Space",
-        basis(chosen),
-        head,
-        rows,
-    )
+    title = "Fig. 5 in numbers: demonstrations, Anchor Space"
+    return Table("demonstrations", title, basis(chosen), head, rows)
 
 
 def counted(runs: Iterable[Run]) -> list[Run]:
     """Return the runs in Anchor Space that differ only in algorithm and demonstrations."""
-    found = []
-    for run in runs:
-        s = run.setting
-        if (
-            is_of_paper(s)
-            and s.space == "anchor"
-            and s.algorithm in COUNTED
-            and not s.changes
-            and not s.randomize
-        ):
-            found.append(run)
-    return found
+    plain = [run for run in runs if is_of_paper(run.setting) and not run.setting.changes]
+    return [
+        run
+        for run in plain
+        if run.setting.space == "anchor" and run.setting.algorithm in COUNTED
+        if not run.setting.randomize
+    ]
 
 
 def generalization(runs: Sequence[Run]) -> Table:
     """Return Table III: trained in one space, tested in another, in its engine."""
-    chosen = [
-        run
-        for run in runs
-        if is_usual(run.setting) and run.setting.changes in ((), *CHANGES_OF_ALL)
-    ]
-    chosen = [run for run in chosen if run.setting.algorithm != JACOBIAN]
+    usual = [run for run in runs if is_usual(run.setting) and run.setting.algorithm != JACOBIAN]
+    chosen = [run for run in usual if run.setting.changes in ((), *CHANGES_OF_ALL)]
     rows: list[list[Value]] = []
     for setting, group in grouped(chosen).items():
-        rows.append(
-            [
-                *trained(setting),
-                SPACES[setting.space],
-                *(success(group, "nominal", space=space) for space in SPACES),
-                success(group, AROUND, space=AROUND),
-                *cost(group),
-            ]
-        )
+        values = [success(group, "nominal", space=space) for space in SPACES]
+        values.append(success(group, AROUND, space=AROUND))
+        rows.append([*trained(setting), SPACES[setting.space], *values, *cost(group)])
     have = {run.setting.space for run in chosen if run.setting.algorithm == "batd3"}
-    for space in SPACES:
-        if space not in have:
-            rows.append(
-                [
-                    algorithm_title("batd3"),
-                    "-",
-                    engine_title("mujoco"),
-                    SPACES[space],
-                    *[None] * 4,
-                    *cost(None),
-                ]
-            )
+    lacking = [title for space, title in SPACES.items() if space not in have]
+    rows += [[*not_trained("batd3"), title, *[None] * 4, *cost(None)] for title in lacking]
     head = (*TRAINED, "on", *(f"κ in {title}" for title in SPACES.values()), "κ all around", *COST)
     return Table("table3", "Table III: generalization between spaces", basis(chosen), head, rows)
 
@@ -155,9 +115,8 @@ def robustness(runs: Sequence[Run]) -> Table:
     """
     chosen = [run for run in runs if is_usual(run.setting) and "disturbances" in run.evaluations]
     groups = grouped(chosen, "space")
-    policies = [
-        run for run in chosen if run.setting.algorithm != JACOBIAN
-    ]  # to it no packet is lost
+    # The demonstrator asks the simulation, so it loses no packet.
+    policies = [run for run in chosen if run.setting.algorithm != JACOBIAN]
     rows: list[list[Value]] = []
     for axis, letter in DISTURBANCES.items():
         for level in sorted({known for name, known, _ in TABLE_4 if name == axis}):
@@ -169,26 +128,15 @@ def robustness(runs: Sequence[Run]) -> Table:
                 rows.append([letter, level, *trained(setting), *values, *cost(group)])
             rows.append([letter, level, *_any_run(policies, axis, level)])
             if not any(setting.algorithm == "batd3" for setting in groups):
-                rows.append(
-                    [
-                        letter,
-                        level,
-                        algorithm_title("batd3"),
-                        "-",
-                        engine_title("mujoco"),
-                        *[None] * 6,
-                        *cost(None),
-                    ]
-                )
+                rows.append([letter, level, *not_trained("batd3"), *[None] * 6, *cost(None)])
     columns = [name for title in SPACES.values() for name in (f"κ {title}", f"l_epi {title}")]
     note = basis(chosen) + (
         " Seeds are counted over the three spaces together. The rows `any run` count the targets"
         " that at least one of the policies above them reaches under that disturbance; their"
         " intervals are over targets."
     )
-    return Table(
-        "table4", "Table IV: robustness", note, ("what", "level", *TRAINED, *columns, *COST), rows
-    )
+    head = ("what", "level", *TRAINED, *columns, *COST)
+    return Table("table4", "Table IV: robustness", note, head, rows)
 
 
 def _any_run(runs: Sequence[Run], axis: str, level: float) -> list[Value]:
@@ -217,29 +165,18 @@ def disturbed(runs: Sequence[Run], axis: str, level: float, space: str) -> Cell 
 
 def transfer(runs: Sequence[Run]) -> Table:
     """Return every method trained in each engine and tested in each, on the same targets."""
-    chosen = [
-        run
-        for run in runs
-        if is_of_paper(run.setting) and run.setting.num_demonstrations in (0, DEMONSTRATIONS)
-    ]
-    chosen = [run for run in chosen if not run.setting.changes]
+    chosen = [run for run in runs if is_of_paper(run.setting) and not run.setting.changes]
+    chosen = [run for run in chosen if run.setting.num_demonstrations in (0, DEMONSTRATIONS)]
     engines = engines_of(chosen)
     rows: list[list[Value]] = []
     for space in SPACES:
         for setting, group in grouped(chosen, "space").items():
             seeds = at_home(group, space)
             if seeds:
-                rows.append(
-                    [
-                        SPACES[space],
-                        *trained(setting),
-                        *in_engines(seeds, engines, space),
-                        *cost(seeds),
-                    ]
-                )
+                values = in_engines(seeds, engines, space)
+                rows.append([SPACES[space], *trained(setting), *values, *cost(seeds)])
     head = ("space", *TRAINED, *engine_heads(engines), *COST)
-    note = (
-        basis(chosen)
-        + " Disagreements count the episodes of all seeds that succeed in one engine only."
+    note = basis(chosen) + (
+        " Disagreements count the episodes of all seeds that succeed in one engine only."
     )
     return Table("transfer", "Transfer between engines", note, head, rows)

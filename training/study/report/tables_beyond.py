@@ -1,10 +1,11 @@
-"""Tables that go beyond the paper: variants, presets, tasks and plants."""
+"""Tables that go beyond the paper: variants, presets, tasks, plants and shipped policies."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 from itertools import product
+from pathlib import Path
 from typing import Literal
 
 import numpy as np
@@ -12,17 +13,27 @@ import numpy as np
 from cdcsr.simulation.engines import engine_title
 from training.algorithms.registry import algorithm_title
 from training.measure.plant_axes import AXES, Axis
-from training.measure.statistics import Sweep, halving
+from training.measure.statistics import Sweep, halving, iqm, over_seeds, pooled
 from training.study.declare.learner_changes import GENERAL, OURS, PUT_BACK, RAISED
-from training.study.report.cells import COST, TRAINED, Table, Value, cost, trained
+from training.study.parquet import read_table
+from training.study.report.cells import COST, TRAINED, Table, Value, cost, measure, trained
 from training.study.report.plant_sweeps import sweeps
-from training.study.report.records import SPACES, Run, at_home, grouped, is_of_paper, is_usual
+from training.study.report.records import (
+    SPACES,
+    Run,
+    at_home,
+    grouped,
+    is_of_paper,
+    is_plain,
+    is_usual,
+)
 from training.study.report.table_parts import (
     RESULT,
     basis,
     engine_heads,
     engines_of,
     home_rows,
+    home_table,
     in_engines,
 )
 
@@ -30,26 +41,58 @@ SIDES: tuple[Literal["below", "above"], ...] = ("below", "above")
 CHANGES_OF_ALL, _PUT_BACK, _RAISED = (
     [tuple(sorted(changes)) for changes in several] for several in (GENERAL, PUT_BACK, RAISED)
 )
+_SEARCHED = ("episode", "reached", "length", "best_reached", "best_length")
+_SWEPT = ("backend", "space", "axis", "level", "success")
+"""Columns of what `cdcsr search` and `cdcsr sweep` stored."""
+
+
+def aggregate(runs: Sequence[Run]) -> Table:
+    """Return success in the space and engine of training, over seeds and all spaces.
+
+    Spaces are the tasks of the stratified bootstrap (Agarwal et al. 2021): seeds are redrawn in
+    each space by itself. Only methods with at least two seeds in all spaces are shown.
+    """
+    chosen = [run for run in runs if is_plain(run.setting)]
+    used: list[Run] = []
+    rows: list[tuple[float, list[Value]]] = []
+    for setting, group in grouped(chosen, "space").items():
+        cells = {
+            (run.setting.space, run.seed): measure([run], "nominal", space=run.setting.space)
+            for run in group
+        }
+        scores: dict[int | None, list[float]] = {}
+        for seed in {run.seed: None for run in group}:
+            found = [cell for space in SPACES if (cell := cells.get((space, seed)))]
+            if len(found) == len(SPACES):
+                scores[seed] = [cell.success.value for cell in found]
+        if len(scores) > 1:
+            own = [run for run in group if run.seed in scores]
+            used += own
+            table = np.array([*scores.values()])
+            middle = over_seeds(table, iqm)
+            values = [over_seeds(table), middle, len(scores), *cost(own)[1:]]
+            rows.append((middle.value, [*trained(setting), *values]))
+    note = basis(used) + (
+        " The interquartile mean leaves out the best and the worst quarter of a method's runs."
+        " Brackets are 95 % percentile intervals of a bootstrap that redraws seeds in each space by"
+        " itself; of three seeds they are about the range."
+    )
+    best_first = [row for _, row in sorted(rows, key=lambda row: -row[0])]
+    head = (*TRAINED, "κ", "IQM of κ", *COST)
+    return Table("aggregate", "The three spaces together", note, head, best_first)
 
 
 def own_ablation(runs: Sequence[Run]) -> Table:
     """Return the methods with single changed numbers, in the spaces where that was run."""
-    chosen = variants(runs)
-    rows = [row for space in SPACES for row in home_rows(chosen, space, ())]
-    title = f"Variants of {algorithm_title(OURS)} and of the others"
-    return Table("ours", title, basis(chosen), ("space", *TRAINED, *RESULT, *COST), rows)
-
-
-def variants(runs: Iterable[Run]) -> list[Run]:
-    """Return the runs with changed numbers in the paper's spaces, and those without beside them."""
     own = [run for run in runs if is_usual(run.setting) and run.setting.preset == "tuned"]
-    # What is for every method Table III has; what is put back has a table of its own.
+    # Table III has the changes that are for every method, and what is put back has its own table.
     own = [run for run in own if run.setting.changes not in CHANGES_OF_ALL]
     own = [
         run for run in own if run.setting.algorithm == OURS or run.setting.changes not in _PUT_BACK
     ]
     varied = {(run.setting.algorithm, run.setting.space) for run in own if run.setting.changes}
-    return [run for run in own if (run.setting.algorithm, run.setting.space) in varied]
+    chosen = [run for run in own if (run.setting.algorithm, run.setting.space) in varied]
+    return home_table("ours", f"Variants of {algorithm_title(OURS)} and of the others", chosen)
 
 
 def presets(runs: Sequence[Run]) -> Table:
@@ -60,9 +103,9 @@ def presets(runs: Sequence[Run]) -> Table:
     put_back = {setting for setting in put_back if setting.algorithm != OURS}
     shown = put_back | {replace(setting, changes=()) for setting in put_back}
     chosen = [run for run in runs if run.setting in shown]
-    rows = [row for space in SPACES for row in home_rows(chosen, space, ())]
-    title = "The preset `tuned` with one number put back to the paper's"
-    return Table("preset", title, basis(chosen), ("space", *TRAINED, *RESULT, *COST), rows)
+    return home_table(
+        "preset", "The preset `tuned` with one number put back to the paper's", chosen
+    )
 
 
 def raised(runs: Sequence[Run]) -> Table:
@@ -71,13 +114,10 @@ def raised(runs: Sequence[Run]) -> Table:
     spaces = {run.setting.space for run in own if run.setting.changes in _RAISED}
     chosen, rows = [], []
     for space, switches in product((space for space in SPACES if space in spaces), ((), *_RAISED)):
-        some = [
-            run
-            for run in own
-            if (run.setting.algorithm, run.setting.changes) == ("batd3", switches)
-        ]
+        wanted = ("batd3", switches)
+        some = [run for run in own if (run.setting.algorithm, run.setting.changes) == wanted]
         chosen += at_home(some, space)
-        rows += home_rows(at_home(some, space), space, ())
+        rows += home_rows(at_home(some, space), space)
     title = "The paper's preset with numbers of the preset `tuned`"
     return Table("raised", title, basis(chosen), ("space", *TRAINED, *RESULT, *COST), rows)
 
@@ -90,17 +130,10 @@ def tasks(runs: Sequence[Run]) -> Table:
     for setting, group in sorted(
         grouped(chosen).items(), key=lambda item: (item[0].task, item[0].space)
     ):
-        rows.append(
-            [
-                setting.task,
-                setting.space,
-                *trained(setting),
-                *in_engines(group, engines, setting.space),
-                *cost(group),
-            ]
-        )
+        values = in_engines(group, engines, setting.space)
+        rows.append([setting.task, setting.space, *trained(setting), *values, *cost(group)])
     head = ("task", "space", *TRAINED, *engine_heads(engines), *COST)
-    return Table("tasks", "Tasks past the paper", basis(chosen), head, rows)
+    return Table("tasks", "Tasks beyond the paper", basis(chosen), head, rows)
 
 
 def halvings(runs: Sequence[Run]) -> Table:
@@ -113,19 +146,13 @@ def halvings(runs: Sequence[Run]) -> Table:
         ):
             found = sweeps(group, axis, engine, space)
             if found:
-                low = min(float(one.levels[0]) for one in found.values())
-                high = max(float(one.levels[-1]) for one in found.values())
-                rows.append(
-                    [
-                        *trained(setting),
-                        SPACES[space],
-                        engine_title(engine),
-                        description.title,
-                        f"{low:g} to {high:g}",
-                        *(_halving(list(found.values()), description, side) for side in SIDES),
-                        *cost([run for run in group if run.name in found]),
-                    ]
-                )
+                several = list(found.values())
+                low = min(float(one.levels[0]) for one in several)
+                high = max(float(one.levels[-1]) for one in several)
+                plant = [SPACES[space], engine_title(engine), description.title]
+                levels = [_halving(several, description, side) for side in SIDES]
+                rest = cost([run for run in group if run.name in found])
+                rows.append([*trained(setting), *plant, f"{low:g} to {high:g}", *levels, *rest])
     head = (*TRAINED, "space", "tested in", "plant", "swept", "halves below", "halves above", *COST)
     note = basis(chosen) + (
         " Means over seeds, interpolated between levels, by ratio where they are factors;"
@@ -147,3 +174,33 @@ def _halving(found: Sequence[Sweep], axis: Axis, side: Literal["above", "below"]
         for value in (crossing.level, crossing.low, crossing.high)
     )
     return f"{level} [{low}, {high}]"
+
+
+def searches(results: Path) -> Table:
+    """Build the table of what a search for better commands gains."""
+    data = read_table(results / "searches.parquet", ("name", *_SEARCHED))
+    rows: list[list[Value]] = []
+    for name in np.unique(data["name"]) if data else ():
+        own = {one: data[one][data["name"] == name].astype(float) for one in _SEARCHED}
+        rows.append([str(name), *(f"{own[one].mean():.4g}" for one in _SEARCHED[1:])])
+    head = ("search", "κ before", "length mean", "κ after", "best length mean")
+    note = "Means over 100 held-out targets; a failure counts in full."
+    return Table("searches", "Searches for better commands", note, head, rows)
+
+
+def shipped(results: Path) -> Table:
+    """Build the table of shipped policies with the engines' stock settings."""
+    data = read_table(results / "sweeps.parquet", ("name", *_SWEPT))
+    rows: list[list[Value]] = []
+    if data:
+        chosen = data["axis"] == "engine_defaults"
+        for name in np.unique(data["name"]):
+            for engine in np.unique(data["backend"]):
+                own = chosen & (data["name"] == name) & (data["backend"] == engine)
+                levels = [own & (data["level"] == level) for level in (0, 1)]
+                if all(one.any() for one in levels):
+                    values = [pooled([data["success"][one] == 1]) for one in levels]
+                    rows.append([str(name), engine_title(str(engine)), *values])
+    head = ("policy", "tested in", "κ agreed", "κ stock")
+    note = "100 held-out targets in Spatter; intervals over episodes."
+    return Table("shipped", "Shipped policies with stock settings", note, head, rows)

@@ -1,4 +1,4 @@
-"""The report as a whole, and results that are broken or missing."""
+"""The report as a whole, its learning curves, and results that are broken or missing."""
 
 from __future__ import annotations
 
@@ -15,6 +15,7 @@ from training.report import report
 from training.study.declare.budgets import BUDGETS
 from training.study.declare.grid import expected
 from training.study.report.cells import Table
+from training.study.report.learning_curves import aligned, curve_figures
 from training.study.report.page import missing, page
 from training.study.report.records import episodes_of, load_study
 from training.study.store import read_episodes
@@ -122,3 +123,20 @@ def test_runs_of_two_robots_are_said_to_be(study: Path) -> None:
     path.write_text(json.dumps(json.loads(path.read_text("utf-8")) | {"fingerprint": "g"}), "utf-8")
     text = page(load_study(study), [], [], [], None)
     assert "**The runs are of 2 different robots**: f, g." in text
+
+
+def test_curves_are_compared_where_all_seeds_have_been(study: Path) -> None:
+    updates, curves = aligned([run for run in load_study(study) if run.setting.space == "anchor"])
+    assert updates.tolist() == [500, 1000]
+    assert curves.tolist() == [[0.0, 0.5], [0.1, 0.5], [0.2, 0.5]]
+
+
+def test_curves_of_another_length_have_a_figure_of_their_own(study: Path, tmp_path: Path) -> None:
+    before = [name for name, _ in curve_figures(load_study(study), tmp_path)]
+    assert "fig3-tuned-mujoco.png" in before
+    curve = [(1000, 0.5), (4000, 0.9)]
+    for algorithm in ("td3", "clasp"):
+        results = {"nominal": [nominal("1111")]}
+        write_run(study, algorithm, results, curve, algorithm=algorithm, updates=4000)
+    after = [name for name, _ in curve_figures(load_study(study), tmp_path)]
+    assert after == [*before[:1], "fig3-tuned-mujoco-u4000.png", *before[1:]]

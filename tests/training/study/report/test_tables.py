@@ -11,7 +11,6 @@ import pytest
 
 from tests.support.small_study import beside_paper, find, nominal, write_run
 from training.measure.statistics import Estimate
-from training.study.report.aggregate import aggregate
 from training.study.report.cells import Table, measure
 from training.study.report.records import load_study
 from training.study.report.table_parts import engines_of
@@ -23,6 +22,7 @@ from training.study.report.tables import (
 )
 from training.study.report.tables import transfer as between_engines
 from training.study.report.tables_beyond import (
+    aggregate,
     tasks,
 )
 
