@@ -5,12 +5,25 @@ from __future__ import annotations
 import difflib
 from collections.abc import Iterable
 
+_LONGEST = 1_900
+"""The length at which a message is cut; input can be quoted in it."""
+
 
 class CdcsrError(Exception):
-    """Report what is wrong in the input, what is allowed, and what to do."""
+    """Report what is wrong in the input, what is allowed, and what to do.
+
+    Args:
+        message: it becomes one printable line; the middle of a long one is left out.
+    """
 
     exit_code = 2
     """The exit code of a command that ends with this error."""
+
+    def __init__(self, message: str) -> None:
+        if len(message) > _LONGEST:
+            message = f"{message[: _LONGEST - 600]} [...] {message[-500:]}"
+        line = " ".join(message.split("\n"))
+        super().__init__("".join(c if c.isprintable() else "?" for c in line))
 
 
 class CheckFailed(CdcsrError):

@@ -19,6 +19,7 @@ from typing import Any
 
 from cdcsr.errors import CdcsrError
 from cdcsr.locks import lock
+from cdcsr.reading import read_text
 
 JsonObject = dict[str, Any]
 """An object read from JSON; whoever reads it knows its values."""
@@ -66,8 +67,8 @@ def read_json(path: Path) -> JsonObject:
         CdcsrError: the file cannot be read, or holds no JSON object.
     """
     try:
-        data = json.loads(path.read_text("utf-8"))
-    except (OSError, ValueError) as error:
+        data = json.loads(read_text(path))
+    except (ValueError, RecursionError) as error:
         raise CdcsrError(f"{path} cannot be read ({error}).") from None
     if not isinstance(data, dict):
         raise CdcsrError(f"{path} cannot be read (it should hold a JSON object).")

@@ -32,8 +32,9 @@ from pydantic import (
 from pydantic_core import InitErrorDetails
 
 from cdcsr.errors import CdcsrError, unknown_choice
+from cdcsr.reading import MOST_TEXT, read_text
 from cdcsr.robot.section_rules import errors_between_sections
-from cdcsr.robot.toml_errors import describe, report_again
+from cdcsr.robot.toml_errors import describe_all, report_again, without_echoes
 
 Positive = Annotated[float, Field(gt=0)]
 NonNegative = Annotated[float, Field(ge=0)]
@@ -168,7 +169,7 @@ class MujocoOptions(Part):
 class Robot(Part):
     """The description of a robot; :func:`load_robot` loads one."""
 
-    name: Annotated[str, Field(pattern=r"^[a-z][a-z0-9-]*$")]
+    name: Annotated[str, Field(pattern=r"^[a-z][a-z0-9-]*$", max_length=64)]
     """Lower-case letters, digits and hyphens."""
     time_step: Positive
     """Simulation step in [s]."""
@@ -187,7 +188,7 @@ class Robot(Part):
         try:
             robot = handler(data)
         except ValidationError as error:
-            errors += [report_again(line) for line in error.errors()]
+            errors += [report_again(line) for line in without_echoes(error.errors())]
         errors += errors_between_sections(data if robot is None else robot.model_dump())
         if robot is None or errors:
             raise ValidationError.from_exception_data(cls.__name__, errors)
@@ -262,18 +263,17 @@ def parse_robot(text: str, source: str = "<text>") -> Robot:
         CdcsrError: the text is not TOML, or breaks rules; the message lists every broken rule with
             its line.
     """
+    text = text.removeprefix("\ufeff")  # a byte-order mark
+    if len(text) > MOST_TEXT // 4:
+        raise CdcsrError(f"{source} is no robot description: it has {len(text):,} characters.")
     try:
         data = tomllib.loads(text)
-    except tomllib.TOMLDecodeError as error:
+    except (ValueError, RecursionError) as error:  # also an integer of thousands of digits
         raise CdcsrError(f"{source} is not valid TOML: {error}.") from None
     try:
         return Robot.model_validate(data)
     except ValidationError as error:
-        lines = [describe(text, line) for line in error.errors()]
-        count = f"{len(lines)} error" + "s" * (len(lines) != 1)
-        raise CdcsrError(
-            f"{source}: {count} in the robot description: " + "; ".join(lines)
-        ) from None
+        raise CdcsrError(f"{source}: {describe_all(text, error, Robot)}") from None
 
 
 def load_robot(robot: str | Path) -> Robot:
@@ -284,11 +284,7 @@ def load_robot(robot: str | Path) -> Robot:
     """
     path = Path(robot)
     if path.suffix == ".toml":
-        try:
-            text = path.read_text(encoding="utf-8")
-        except (OSError, UnicodeDecodeError) as error:
-            raise CdcsrError(f"Cannot read the robot description {path}: {error}.") from None
-        return parse_robot(text, str(path))
+        return parse_robot(read_text(path, "robot description"), str(path))
     shipped = shipped_robots()
     if str(robot) not in shipped:
         raise CdcsrError(

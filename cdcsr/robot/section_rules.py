@@ -3,9 +3,17 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from functools import partial
 from typing import Any
 
-from pydantic_core import InitErrorDetails, PydanticCustomError
+from pydantic_core import InitErrorDetails
+
+from cdcsr.robot.physical_rules import (
+    broken_rule,
+    errors_of_bodies,
+    errors_of_magnitude,
+    positive_number,
+)
 
 
 def errors_between_sections(data: Any) -> Iterator[InitErrorDetails]:
@@ -14,25 +22,9 @@ def errors_between_sections(data: Any) -> Iterator[InitErrorDetails]:
     A number that is missing or wrong in itself is passed over: other checks report it.
     """
 
-    def number(*place: str | int) -> float | None:
-        value = data
-        for key in place:
-            try:
-                value = value[key]
-            except (KeyError, IndexError, TypeError):
-                return None
-        if (
-            not isinstance(value, int | float)
-            or isinstance(value, bool)
-            or not 0 < value < float("inf")
-        ):
-            return None
-        return float(value)
-
-    def error(place: tuple[str | int, ...], message: str) -> InitErrorDetails:
-        kind = PydanticCustomError("value_error", "{message}", {"message": message})
-        return InitErrorDetails(type=kind, loc=place, input=number(*place))
-
+    number, error = partial(positive_number, data), partial(broken_rule, data)
+    yield from errors_of_magnitude(data)
+    yield from errors_of_bodies(data)
     step, recovery = number("time_step"), number("constraint", "recovery_time")
     if step and recovery and recovery < 2 * step:
         yield error(

@@ -2,7 +2,25 @@
 
 from __future__ import annotations
 
+import difflib
+import reprlib
+from collections.abc import Iterator, Sequence
+from typing import get_args
+
+from pydantic import BaseModel, ValidationError
 from pydantic_core import ErrorDetails, InitErrorDetails, PydanticCustomError
+
+_SHOWN = 12
+"""The number of errors that a report shows in full."""
+_brief = reprlib.Repr()
+_brief.maxstring = _brief.maxother = _brief.maxlong = 60
+
+
+def without_echoes(errors: Sequence[ErrorDetails]) -> Iterator[ErrorDetails]:
+    """Yield the errors but those that only repeat others: a list all of whose items have errors is
+    reported as an empty list too."""
+    inside = {error["loc"][:n] for error in errors for n in range(len(error["loc"]))}
+    return (e for e in errors if e["type"] != "too_short" or e["loc"] not in inside)
 
 
 def report_again(error: ErrorDetails) -> InitErrorDetails:
@@ -18,15 +36,54 @@ def message(error: ErrorDetails) -> str:
     return error["msg"].removeprefix("Value error, ").removeprefix("Input ")
 
 
-def describe(text: str, error: ErrorDetails) -> str:
+def describe_all(text: str, error: ValidationError, model: type[BaseModel]) -> str:
+    """Return the errors in a description as one line; of many, the first few are shown.
+
+    Args:
+        text: the TOML text.
+        error: what is wrong in it.
+        model: the class of the description, which knows the keys.
+    """
+    errors = error.errors(include_url=False, include_context=False)
+    shown = [describe(text, one, model) for one in errors[:_SHOWN]]
+    if len(errors) > _SHOWN:
+        shown.append(f"and {len(errors) - _SHOWN} more")
+    count = f"{len(errors)} error" + "s" * (len(errors) != 1)
+    return f"{count} in the robot description: " + "; ".join(shown)
+
+
+def describe(text: str, error: ErrorDetails, model: type[BaseModel]) -> str:
     """Return an error as text: its line in the TOML text, its key, the rule, and what was found."""
-    keys = (f"[{key}]" if isinstance(key, int) else f".{key}" for key in error["loc"])
+    keys = (f"[{key}]" if isinstance(key, int) else f".{key[:60]}" for key in error["loc"])
     place = "".join(keys).lstrip(".")
     number = line_number(text, error["loc"])
     where = f"line {number}, {place}" if number else place
     found = error["input"]
-    shown = f" (found {found!r})" if isinstance(found, int | float | str | list | tuple) else ""
-    return f"{where}: {message(error)}{shown}"
+    shown = (
+        f" (found {_brief.repr(found)})"
+        if isinstance(found, int | float | str | list | tuple)
+        else ""
+    )
+    return f"{where}: {message(error)}{_hint(error, model)}{shown}"
+
+
+def _hint(error: ErrorDetails, model: type[BaseModel]) -> str:
+    """Return the known key that is most like an unknown one, as a question."""
+    *sections, key = error["loc"] or ("",)
+    if message(error) != "unknown key" or not isinstance(key, str):
+        return ""
+    for section in sections:
+        if isinstance(section, str) and section in model.model_fields:
+            model = _section(model.model_fields[section].annotation) or model
+    close = difflib.get_close_matches(key[:60], model.model_fields, n=1)
+    return f", did you mean {close[0]!r}?" if close else ""
+
+
+def _section(annotation: object) -> type[BaseModel] | None:
+    """Return the class of a section in the annotation of a field."""
+    if isinstance(annotation, type) and issubclass(annotation, BaseModel):
+        return annotation
+    return next((found for one in get_args(annotation) if (found := _section(one))), None)
 
 
 def line_number(text: str, place: tuple[str | int, ...]) -> int | None:

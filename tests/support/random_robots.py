@@ -26,6 +26,11 @@ def inertias(draw: st.DrawFn, scale: float) -> tuple[float, float, float]:
     return (y + z, x + z, x + y)
 
 
+def _apart(angles: list[float]) -> bool:
+    """Tell whether cables in these directions, in degrees, are not all at one place."""
+    return len({round(angle, 3) % 360 for angle in angles}) > 1
+
+
 @st.composite
 def robots(draw: st.DrawFn) -> Robot:
     """1 to 4 segments of 1 to 10 links and 3 to 6 cables each, from centimetres to metres and grams
@@ -46,7 +51,7 @@ def robots(draw: st.DrawFn) -> Robot:
             "damping": draw(between(0.05, 3)),
             "limit": draw(between(0.5, 3)),
         }
-        angles = draw(st.lists(between(-360, 360), min_size=3, max_size=6))
+        angles = draw(st.lists(between(-360, 360), min_size=3, max_size=6).filter(_apart))
         segments.append(
             {
                 "links": draw(st.integers(1, 10)),
@@ -73,7 +78,7 @@ def robots(draw: st.DrawFn) -> Robot:
             }
         )
     base = {
-        "size": (draw(between(0.1, 1)), 0.5, height),
+        "size": (draw(between(0.2, 1)), 0.5, height),
         "mass": heavy,
         "inertia": draw(inertias(heavy / 10)),
     }

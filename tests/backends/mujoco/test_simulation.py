@@ -66,7 +66,7 @@ def test_divergence_names_copy_and_time(paper: Robot, bad: float) -> None:
 
 @pytest.mark.usefixtures("elsewhere")
 def test_an_impossible_time_step_diverges(paper: Robot) -> None:
-    coarse = paper.model_dump() | {"time_step": 0.5, "constraint": {"recovery_time": 1.0}}
+    coarse = paper.model_dump() | {"time_step": 0.1, "constraint": {"recovery_time": 0.2}}
     simulation = MujocoSimulation(Robot.model_validate(coarse))
     with pytest.raises(Diverged, match="smaller time_step"):
         simulation.step(commands_of(paper, 1)[0], 2000)

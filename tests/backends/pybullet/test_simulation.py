@@ -78,7 +78,7 @@ def test_divergence_names_copy_and_time_and_spares_the_others(paper: Robot, work
 
 def test_an_impossible_time_step_diverges(paper: Robot) -> None:
     simulation = PybulletSimulation(
-        changed(paper, time_step=0.5, constraint={"recovery_time": 1.0})
+        changed(paper, time_step=0.1, constraint={"recovery_time": 0.2})
     )
     with pytest.raises(Diverged, match="smaller time_step"):
         simulation.step(-5.0 * np.arange(float(paper.num_cables))[None], 50)

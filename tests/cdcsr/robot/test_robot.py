@@ -3,7 +3,10 @@
 from __future__ import annotations
 
 import math
+import os
+import time
 from importlib import resources
+from pathlib import Path
 
 import pytest
 from hypothesis import given, settings
@@ -41,17 +44,27 @@ def positive(low: float = 1e-3, high: float = 1e3) -> st.SearchStrategy[float]:
 
 
 @st.composite
-def inertias(draw: st.DrawFn) -> tuple[float, float, float]:
-    """Draw the inertia of a rigid body: each moment is the sum of two second moments of mass."""
-    x, y, z = draw(positive()), draw(positive()), draw(positive())
-    return (y + z, x + z, x + y)
+def bodies(draw: st.DrawFn, reach: float) -> dict[str, object]:
+    """Draw a mass within some distance of its centre, and its moments: each is the sum of two
+    second moments of mass."""
+    mass = draw(positive())
+    x, y, z = (mass * reach**2 * draw(st.floats(1e-3, 0.5)) for _ in "xyz")
+    return {"mass": mass, "inertia": (y + z, x + z, x + y)}
+
+
+def directions() -> st.SearchStrategy[list[float]]:
+    """Draw the directions of three to five cables, not all of them the same, in degrees."""
+    angles = st.lists(st.floats(-360, 360), min_size=3, max_size=5)
+    return angles.filter(
+        lambda found: max(found) - min(found) > 0.01 and 360 not in map(abs, found)
+    )
 
 
 @st.composite
 def robots(draw: st.DrawFn) -> Robot:
     """Robots that keep every rule, of one to three segments with three to five cables each."""
     lengths = draw(st.lists(positive(0.01, 2), min_size=1, max_size=3))
-    height = draw(positive(0.5, 5))
+    height, width = draw(positive(0.5, 5)), draw(positive(0.1, 100))
     segments = []
     for i, length in enumerate(lengths):
         offset = draw(st.floats(0.01, 0.49)) * min(*lengths[: i + 1], height, 1.0)
@@ -61,8 +74,7 @@ def robots(draw: st.DrawFn) -> Robot:
                 "link": {
                     "length": length,
                     "radius": draw(positive()),
-                    "mass": draw(positive()),
-                    "inertia": draw(inertias()),
+                    **draw(bodies(length)),
                 },
                 "joint": {
                     "stiffness": draw(st.floats(0, 10)),
@@ -70,8 +82,8 @@ def robots(draw: st.DrawFn) -> Robot:
                     "limit": draw(st.floats(0.01, 3.14)),
                 },
                 "cables": {
-                    "angles_deg": draw(st.lists(st.floats(-360, 360), min_size=3, max_size=5)),
-                    "pitch_radius": draw(positive()),
+                    "angles_deg": draw(directions()),
+                    "pitch_radius": draw(st.floats(1e-3, 0.49)) * min(width, lengths[0]),
                     "guide_offset": offset,
                 },
                 "servo": {
@@ -90,9 +102,8 @@ def robots(draw: st.DrawFn) -> Robot:
             "name": draw(st.from_regex(r"\A[a-z][a-z0-9-]{0,10}\Z")),
             "time_step": step,
             "base": {
-                "size": (draw(positive()), draw(positive()), height),
-                "mass": draw(positive()),
-                "inertia": draw(inertias()),
+                "size": (width, draw(positive(1, 1e3)) * width, height),
+                **draw(bodies(width)),
             },
             "constraint": {"recovery_time": step * draw(st.floats(2, 10))},
             "workspace": {
@@ -156,7 +167,7 @@ def test_all_broken_rules_are_reported_at_once_each_with_its_line() -> None:
         ("gain = 50.0", "gain = nan"),
         ("eta = 5.0", "eta = true"),
     )
-    head, _, errors = message.partition(": 11 errors in the robot description: ")
+    head, _, errors = message.partition(": 12 errors in the robot description: ")
     assert head == "my.toml"
     assert errors.split("; ") == [
         "line 7, base.mass: should be greater than 0 (found -5.0)",
@@ -164,10 +175,12 @@ def test_all_broken_rules_are_reported_at_once_each_with_its_line() -> None:
         "principal moment is at most the sum of the other two) (found [40.0, 35.0, 100.0])",
         "line 19, segments[0].links: should be greater than or equal to 1 (found 0)",
         "line 21, segments[0].link.radius: Field required",
-        "line 23, segments[0].link.radus: unknown key (found 0.02)",
+        "line 23, segments[0].link.radus: unknown key, did you mean 'radius'? (found 0.02)",
         "line 30, segments[0].joint.limit: should be a valid number (found '1.5')",
         "line 40, segments[0].servo.gain: should be a finite number (found nan)",
         "line 41, segments[0].servo.eta: should be a valid number (found True)",
+        "line 25, segments[0].link.inertia[0]: is more than 0.00578 kg m^2, which 1.18 kg have at "
+        "a distance of 0.07 m from their centre (found 0.016)",
         "line 12, constraint.recovery_time: must be at least two time steps (0.005 s) "
         "(found 0.004)",
         "line 35, segments[0].cables.guide_offset: puts a guide outside its link: must be below "
@@ -204,6 +217,44 @@ def test_all_broken_rules_are_reported_at_once_each_with_its_line() -> None:
         ),
         ("[base]", "wings = 2\n[base]", "line 5, wings: unknown key (found 2)"),
         ("[base]", "[wings]\nspan = 2\n[base]", "line 5, wings: unknown key"),
+        (
+            "offset = 0.2\n",
+            "offset = 0.2\nmas = 1.0\n",
+            "line 44, segments[0].servo.mas: unknown key, did you mean 'mass'? (found 1.0)",
+        ),
+        (
+            "[40.0, 35.0, 75.0]",
+            "[400.0, 350.0, 600.0]",
+            "line 9, base.inertia[2]: is more than 540 kg m^2, which 500 kg have at a distance of "
+            "1.04 m from their centre (found 600.0)",
+        ),
+        (
+            "[0.016, 0.016, 0.00037]",
+            "[100.0, 100.0, 0.00037]",
+            "line 25, segments[0].link.inertia[0]: is more than 0.068 kg m^2, which 1.18 kg have "
+            "at a distance of 0.24 m from their centre (found 100.0)",
+        ),
+        (
+            "pitch_radius = 0.02",
+            "pitch_radius = 0.31",
+            "line 34, segments[0].cables.pitch_radius: puts a cable outside the base: must be at "
+            "most 0.3 m (found 0.31)",
+        ),
+        (
+            "[0.0, 90.0, 180.0, 270.0]",
+            "[0.0, 360.0, -360.0]",
+            "line 33, segments[0].cables.angles_deg: puts all cables at one place",
+        ),
+        (
+            "links = 6",
+            "links = 1000000000",
+            "line 19, segments[0].links: must lie between 1 and 500 (found 1000000000)",
+        ),
+        (
+            "eta = 5.0",
+            "eta = 1e-300",
+            "line 41, segments[0].servo.eta: must lie between 1e-09 and 1e+09 (found 1e-300)",
+        ),
         ("time_step = 0.0025\n", "", "time_step: Field required"),
         (
             "offset = 0.2\n",
@@ -253,3 +304,43 @@ def test_an_unknown_robot_gets_a_suggestion() -> None:
 def test_a_file_that_is_not_there() -> None:
     with pytest.raises(CdcsrError, match=r"^Cannot read the robot description nowhere\.toml: "):
         load_robot("nowhere.toml")
+
+
+def test_a_byte_order_mark_is_no_part_of_the_text(tmp_path: Path) -> None:
+    path = tmp_path / "mine.toml"
+    path.write_text(PAPER, "utf-8-sig")
+    assert load_robot(path) == load_robot("paper")
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "a = " + "[" * 3000 + "]" * 3000,
+        "a = " + "9" * 5000,
+        "\n".join(f"wing{i} = {i}" for i in range(10_000)),
+        "x" * 10_000_000,
+        f"name = '{'n' * 200_000}'",
+    ],
+    ids=["deep", "long integer", "many keys", "long", "long value"],
+)
+def test_a_bomb_ends_in_a_short_message_soon(text: str) -> None:
+    start = time.perf_counter()
+    assert len(broken(("time_step", text + "\ntime_step"))) < 2000
+    assert time.perf_counter() - start < 3
+
+
+@pytest.mark.parametrize("kind", ["pipe", "device", "loop", "long name", "folder"])
+def test_what_is_no_file_is_refused_at_once(kind: str, tmp_path: Path) -> None:
+    path = tmp_path / "it.toml"
+    if kind == "pipe":
+        os.mkfifo(path)
+    elif kind == "device":
+        path.symlink_to("/dev/zero")
+    elif kind == "loop":
+        path.symlink_to(path)
+    elif kind == "long name":
+        path = tmp_path / f"{'n' * 300}.toml"
+    else:
+        path.mkdir()
+    with pytest.raises(CdcsrError, match=r"^Cannot read the robot description "):
+        load_robot(path)
