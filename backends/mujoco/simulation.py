@@ -105,6 +105,14 @@ class MujocoSimulation(Simulation):
             self.batch.forward(ids, stage=CURRENT)
         self._cables.tension[ids] = 0
 
+    def _place(self, ids: NDArray[np.int64], position: Array, velocity: Array) -> None:
+        self.batch.reset(ids, stage=int(mujoco.mjtStage.mjSTAGE_NONE))
+        self._qpos[ids], self._qvel[ids] = position, velocity
+        to_body = rotation_matrix(position[:, 3:7]).swapaxes(1, 2)
+        self._qvel[ids, 3:6] = np.einsum("nij,nj->ni", to_body, velocity[:, 3:6])
+        self._cables.tension[ids] = 0
+        self.batch.forward(ids, stage=CURRENT)
+
     def _step(self, command: Array, substeps: int) -> None:
         self._ctrl[:] = command
         for _ in range(substeps):
@@ -157,12 +165,8 @@ class MujocoSimulation(Simulation):
             self.batch.state[:] = snapshot.private[:, :size]
             self._cables.tension[:] = snapshot.private[:, size:]
         else:
-            self.batch.reset(stage=int(mujoco.mjtStage.mjSTAGE_NONE))
-            self._time[:], self._qpos[:] = snapshot.time, snapshot.position
-            self._qvel[:] = snapshot.velocity
-            to_body = rotation_matrix(snapshot.position[:, 3:7]).swapaxes(1, 2)
-            self._qvel[:, 3:6] = np.einsum("nij,nj->ni", to_body, snapshot.velocity[:, 3:6])
-            self._cables.tension[:] = 0
+            self._place(np.arange(self.num), snapshot.position, snapshot.velocity)
+            self._time[:] = snapshot.time
         self.batch.forward(stage=CURRENT)
 
     def write_to(self, data: mujoco.MjData, index: int = 0) -> None:

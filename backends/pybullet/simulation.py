@@ -102,6 +102,10 @@ class PybulletSimulation(Simulation):
     def _reset(self, ids: NDArray[np.int64]) -> None:
         self._world.reset(ids.tolist())
 
+    def _place(self, ids: NDArray[np.int64], position: Array, velocity: Array) -> None:
+        tension = np.zeros((len(ids), self.robot.num_cables))
+        self._world.place(ids, np.zeros(len(ids)), position, velocity, tension)
+
     def _step(self, command: Array, substeps: int) -> None:
         lost = self._world.step(command, substeps)
         if lost:
@@ -139,7 +143,8 @@ class PybulletSimulation(Simulation):
     def _set_snapshot(self, snapshot: Snapshot) -> None:
         own = snapshot.engine == self.engine
         tension = snapshot.private if own else np.zeros((self.num, self.robot.num_cables))
-        self._world.place(snapshot.time, snapshot.position, snapshot.velocity, tension)
+        every = np.arange(self.num)
+        self._world.place(every, snapshot.time, snapshot.position, snapshot.velocity, tension)
 
     def dynamics(self, ids: Ids = None) -> Dynamics:
         chosen = self._chosen(ids)

@@ -63,12 +63,11 @@ class Pool:
 
     def set_plant(self, ids: NDArray[np.int64], plant: Plant) -> None:
         """Give copies `ids` the numbers in the rows of `plant`."""
-        inside = [(ids >= share.start) & (ids < share.stop) for share in self._shares]
         self._call(
             "set_plant",
             [
                 (ids[mine] - share.start, Plant(*(rows[mine] for rows in plant)))
-                for share, mine in zip(self._shares, inside, strict=True)
+                for share, mine in zip(self._shares, self._inside(ids), strict=True)
             ],
         )
 
@@ -79,12 +78,26 @@ class Pool:
     def reset(self, ids: Iterable[int]) -> None:
         """Put copies back to the start."""
         chosen = np.fromiter(ids, int)
-        inside = [chosen[(chosen >= s.start) & (chosen < s.stop)] - s.start for s in self._shares]
-        self._call("reset", [(part.tolist(),) for part in inside])
+        parts = zip(self._shares, self._inside(chosen), strict=True)
+        self._call("reset", [((chosen[mine] - s.start).tolist(),) for s, mine in parts])
 
-    def place(self, time: Array, position: Array, velocity: Array, tension: Array) -> None:
-        """Put every copy into a state."""
-        self._call("place", [(time[s], position[s], velocity[s], tension[s]) for s in self._shares])
+    def place(
+        self,
+        ids: NDArray[np.int64],
+        time: Array,
+        position: Array,
+        velocity: Array,
+        tension: Array,
+    ) -> None:
+        """Put copies `ids` into a state; see :meth:`World.place`."""
+        rows, inside = (time, position, velocity, tension), self._inside(ids)
+        self._call(
+            "place",
+            [
+                (ids[mine] - share.start, *(row[mine] for row in rows))
+                for share, mine in zip(self._shares, inside, strict=True)
+            ],
+        )
 
     def step(self, command: Array, substeps: int) -> list[Divergence]:
         """Advance all copies; see :meth:`World.step`."""
@@ -98,6 +111,10 @@ class Pool:
     def close(self) -> None:
         """End the workers; to close twice does nothing."""
         self._end()
+
+    def _inside(self, ids: NDArray[np.int64]) -> list[NDArray[np.bool_]]:
+        """Return for every worker which of `ids` are its copies."""
+        return [(ids >= share.start) & (ids < share.stop) for share in self._shares]
 
     def _call(
         self, method: Method, arguments: Sequence[tuple[object, ...]]

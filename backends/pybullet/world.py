@@ -93,11 +93,18 @@ class World:
             self.tension[copy] = 0.0
             self._write(copy)
 
-    def place(self, time: Array, position: Array, velocity: Array, tension: Array) -> None:
-        """Put every copy into a state; the shapes are those of the attributes."""
-        self.time[:], self.tension[:] = time, tension
-        self.position[:], self.velocity[:] = position, velocity
-        for copy in range(len(self._bodies)):
+    def place(
+        self,
+        ids: NDArray[np.int64],
+        time: Array,
+        position: Array,
+        velocity: Array,
+        tension: Array,
+    ) -> None:
+        """Put copies `ids` into a state: rows of the attributes."""
+        self.time[ids], self.tension[ids] = time, tension
+        self.position[ids], self.velocity[ids] = position, velocity
+        for copy in ids.tolist():
             self._write(copy)
             self._read(copy)
 

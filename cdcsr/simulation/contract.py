@@ -193,6 +193,30 @@ class Simulation(ABC):
         self._stop_commands(chosen)
         self._reset(chosen)
 
+    def place(self, ids: Ids, position: Array, velocity: Array) -> None:
+        """Put copies into a state at time zero, with no commands under way and no tension so far.
+
+        Other copies and all parameters stay as they are.
+
+        Args:
+            ids: which copies; n of them.
+            position: as in a :class:`Snapshot`, shape (n, 7 + C + 2 J).
+            velocity: in the order of coordinates, shape (n, nv).
+
+        Raises:
+            CdcsrError: an array has the wrong shape, or a number in it is not finite.
+        """
+        chosen, size = self._chosen(ids), self.robot.num_coordinates
+        for name, array, width in (("position", position, size + 1), ("velocity", velocity, size)):
+            if np.shape(array) != (len(chosen), width) or not np.isfinite(array).all():
+                raise CdcsrError(
+                    f"place() takes a finite {name} of the shape {(len(chosen), width)}; found one "
+                    f"of the shape {np.shape(array)}, with {np.sum(~np.isfinite(array))} numbers "
+                    "that are not finite."
+                )
+        self._stop_commands(chosen)
+        self._place(chosen, position, velocity)
+
     def step(self, command: Array, substeps: int = 1) -> None:
         """Advance all copies by `substeps` time steps under one command.
 
@@ -286,6 +310,9 @@ class Simulation(ABC):
 
     @abstractmethod
     def _reset(self, ids: NDArray[np.int64]) -> None: ...
+
+    @abstractmethod
+    def _place(self, ids: NDArray[np.int64], position: Array, velocity: Array) -> None: ...
 
     @abstractmethod
     def _step(self, command: Array, substeps: int) -> None: ...

@@ -16,7 +16,8 @@ from cdcsr.errors import CdcsrError
 from cdcsr.robot.description import Robot, load_robot
 from cdcsr.simulation.contract import Array, Simulation, State
 from cdcsr.simulation.engines import load_backend
-from tests.support.physics import assert_same, commands_of, running, straight
+from cdcsr.simulation.plant import Parameters
+from tests.support.physics import assert_same, commands_of, moving, running, straight
 
 COPIES = 64
 
@@ -108,3 +109,38 @@ def test_an_unknown_camera_is_an_error(paper: Robot, engine: str) -> None:
         pytest.raises(CdcsrError, match=r"Unknown camera 'sid'\. Did you mean 'side'"),
     ):
         simulation.render(camera="sid")
+
+
+def test_placed_copies_are_in_their_state_and_the_others_go_on(paper: Robot, engine: str) -> None:
+    commands, ids = commands_of(paper, 40, 5, hold=5), [1, 3]
+    with running(paper, engine, 5) as simulation, running(paper, engine, 2) as placed:
+        simulation.set_parameters(ids, Parameters(command_delay=3))
+        before = advance(simulation, commands[:20])
+        given = moving(paper, 2)
+        simulation.place(ids, given.position, given.velocity)
+        placed.place(None, given.position, given.velocity)
+        placed.set_parameters(None, Parameters(command_delay=3))
+        assert_same(simulation.state(), before, [0, 2, 4])
+        found = simulation.get_snapshot()
+        np.testing.assert_allclose(found.position[ids], given.position, rtol=0, atol=1e-12)
+        np.testing.assert_allclose(found.velocity[ids], given.velocity, rtol=0, atol=1e-12)
+        assert not found.time[ids].any()
+        assert found.commands is not None
+        assert not found.commands[ids].any()
+        both = advance(simulation, commands[20:]), advance(placed, commands[20:, ids])
+        for row, copy in enumerate(ids):
+            same(only(both[0], copy), only(both[1], row), engine)
+
+
+@pytest.mark.parametrize(("name", "width"), [("position", 31), ("velocity", 30)])
+def test_a_state_that_does_not_fit_is_not_placed(
+    paper: Robot, engine: str, name: str, width: int
+) -> None:
+    given = straight(paper)
+    wrong = {"position": given.position, "velocity": given.velocity}
+    with running(paper, engine, 2) as simulation:
+        before = simulation.state()
+        for array in (np.zeros((1, width + 1)), np.full((1, width), np.nan)):
+            with pytest.raises(CdcsrError, match=f"a finite {name} of the shape"):
+                simulation.place([1], **(wrong | {name: array}))
+        assert_same(simulation.state(), before)

@@ -13,12 +13,14 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 from cdcsr.robot.description import Robot
 from cdcsr.simulation.contract import Array
 from tests.support.physics import (
     at,
     commands_of,
+    described_bodies,
     energy,
     finer,
     momentum,
@@ -66,6 +68,26 @@ def test_momentum_drifts_only_by_the_integrators_error(robot: Robot, engine: str
     orders = np.log2(np.array(drifts[:-1]) / drifts[1:])
     assert (orders > 0.85).all()
     assert (orders < 1.3).all()
+
+
+def test_a_placed_copy_has_the_momentum_of_its_bodies(robot: Robot, engine: str) -> None:
+    """Straight, turned, and in motion as one rigid body: sums over the description's bodies."""
+    position, velocity = drifting(robot)
+    position[0, :3], turn = [0.1, -0.2, 0.3], Rotation.from_rotvec([0.4, -0.5, 0.6])
+    position[0, 3:7] = turn.as_quat(scalar_first=True)
+    with running(robot, engine, 2) as simulation:
+        simulation.place([1], position, velocity)
+        linear, angular, center = (rows[1] for rows in momentum(simulation))
+    _, mass, inertia, at_rest = zip(*described_bodies(robot), strict=True)
+    mass, spin = np.array(mass)[:, None], velocity[0, 3:6]
+    place = position[0, :3] + turn.apply(at_rest)
+    speed = velocity[0, :3] + np.cross(spin, place - position[0, :3])
+    middle = (mass * place).sum(0) / mass.sum()
+    own = turn.apply(np.array(inertia).sum(0) * turn.inv().apply(spin))
+    about_middle = own + (mass * np.cross(place - middle, speed)).sum(0)
+    np.testing.assert_allclose(center, middle, atol=1e-12)
+    np.testing.assert_allclose(linear, (mass * speed).sum(0), rtol=1e-10)
+    np.testing.assert_allclose(angular, about_middle, rtol=1e-10)
 
 
 def test_an_idle_robot_stays_where_it_is(robot: Robot, engine: str) -> None:

@@ -119,7 +119,7 @@ def test_pybullet_steps_as_its_equation_says(robot: Robot) -> None:
     world = World(robot, 4)
     position, velocity = random_states(robot, 4, bend=0.3, speed=2.0)
     command = np.random.default_rng(3).uniform(-5, 0, (4, robot.num_cables))
-    world.place(np.zeros(4), position, velocity, np.zeros((4, robot.num_cables)))
+    world.place(np.arange(4), np.zeros(4), position, velocity, np.zeros((4, robot.num_cables)))
     world.step(command, 1)
     equation = Equation(robot)
     theirs = equation(position, velocity)
