@@ -9,7 +9,6 @@ from numpy.typing import NDArray
 
 from backends.mujoco.active_cables import CURRENT, Cables, Limits, stepping_spec
 from backends.mujoco.copies import write_plant
-from backends.mujoco.model import build_spec, use_own_softness
 from cdcsr.errors import CdcsrError, Diverged
 from cdcsr.robot.description import Robot
 from cdcsr.simulation.contract import (
@@ -45,7 +44,7 @@ class MujocoSimulation(Simulation):
 
     engine = "mujoco"
     title = "MuJoCo"
-    capabilities = frozenset({"render", "bit_exact", "own_settings", "soft_cables"})
+    capabilities = frozenset({"render", "bit_exact"})
 
     def __init__(
         self,
@@ -73,20 +72,6 @@ class MujocoSimulation(Simulation):
         self._scratch = mujoco.MjData(model)
         # Receives the model of a copy that is looked at; None while all copies have the same model.
         self._own_model: mujoco.MjModel | None = None
-        self.reset()
-
-    def use_own_settings(self, numbers: bool = True) -> None:
-        """Step with soft limits of tendons and the description's integrator; see the contract.
-
-        MuJoCo's own numbers are the Euler integrator, and limits with solref = (0.02, 1) and solimp
-        = (0.9, 0.95, ...).
-        """
-        spec = build_spec(self.robot)
-        if numbers:
-            use_own_softness(spec)
-        self.close()
-        self._start(spec.compile(), Limits)
-        self._set_plant(np.arange(self.num), self.plant)
         self.reset()
 
     def _set_plant(self, ids: NDArray[np.int64], plant: Plant) -> None:

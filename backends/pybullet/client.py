@@ -16,9 +16,6 @@ from cdcsr.simulation.plant import Plant
 MAX_JOINT_SPEED = 1e9
 """The clamp on joint speeds, in [m/s] or [rad/s]. PyBullet's own is 100; no speed that is not a
 failure comes near this one."""
-OWN_JOINT_SPEED, OWN_DAMPING = 100.0, 0.04
-"""PyBullet's defaults: the clamp in [m/s] or [rad/s], and the damping of linear and angular
-motion."""
 
 
 def connect(robot: Robot) -> int:
@@ -92,18 +89,6 @@ def load_robot_body(robot: Robot, client: int) -> int:
         body, range(count), pybullet.VELOCITY_CONTROL, forces=[0.0] * count, physicsClientId=client
     )
     return body
-
-
-def use_own_settings(client: int, body: int) -> None:
-    """Set a body's damping and clamp on joint speeds to PyBullet's defaults."""
-    pybullet.changeDynamics(
-        body,
-        -1,
-        linearDamping=OWN_DAMPING,
-        angularDamping=OWN_DAMPING,
-        maxJointVelocity=OWN_JOINT_SPEED,
-        physicsClientId=client,
-    )
 
 
 def set_masses(client: int, body: int, plant: Plant, row: int) -> None:

@@ -62,7 +62,7 @@ class PybulletSimulation(Simulation):
 
     engine: ClassVar[str] = "pybullet"
     title: ClassVar[str] = "PyBullet"
-    capabilities: ClassVar[frozenset[Capability]] = frozenset({"render", "own_settings"})
+    capabilities: ClassVar[frozenset[Capability]] = frozenset({"render"})
 
     def __init__(
         self,
@@ -86,18 +86,6 @@ class PybulletSimulation(Simulation):
 
     def _set_plant(self, ids: NDArray[np.int64], plant: Plant) -> None:
         self._world.set_plant(ids, plant)
-
-    def use_own_settings(self, numbers: bool = True) -> None:
-        """Step with PyBullet's damping of 0.04 on all motion of every body, and with joint speeds
-        clamped at 100; see the contract.
-
-        PyBullet's own joint damping, which is explicit, is not used: the tensions are solved for
-        with implicit dampers, so that with other dampers the cables would stretch. PyBullet has no
-        cables of its own.
-        """
-        if numbers:
-            self._world.use_own_settings()
-        self.reset()
 
     def _reset(self, ids: NDArray[np.int64]) -> None:
         self._world.reset(ids.tolist())

@@ -29,7 +29,7 @@ from cdcsr.robot.description import Robot
 from cdcsr.simulation.plant import Plant
 
 Array = NDArray[np.float64]
-Method = Literal["set_plant", "use_own_settings", "reset", "place", "step"]
+Method = Literal["set_plant", "reset", "place", "step"]
 
 _START = (
     "import json, sys; sys.path[:] = json.loads(sys.argv[1]); "
@@ -70,10 +70,6 @@ class Pool:
                 for share, mine in zip(self._shares, self._inside(ids), strict=True)
             ],
         )
-
-    def use_own_settings(self) -> None:
-        """Set PyBullet's default damping and clamp; see :meth:`World.use_own_settings`."""
-        self._call("use_own_settings", [() for _ in self._shares])
 
     def reset(self, ids: Iterable[int]) -> None:
         """Put copies back to the start."""

@@ -12,7 +12,7 @@ import pybullet
 from numpy.typing import NDArray
 
 from backends.pybullet.cables import joint_forces, rig
-from backends.pybullet.client import connect, load_robot_body, set_masses, use_own_settings
+from backends.pybullet.client import connect, load_robot_body, set_masses
 from backends.pybullet.dynamics import chain
 from cdcsr.robot.description import Robot
 from cdcsr.simulation.plant import Parameters, Plant
@@ -75,11 +75,6 @@ class World:
         for row, copy in enumerate(ids.tolist()):
             client, body = self._bodies[copy]
             set_masses(client, body, plant, row)
-
-    def use_own_settings(self) -> None:
-        """Let PyBullet damp and clamp motion as it does by default."""
-        for client, body in self._bodies:
-            use_own_settings(client, body)
 
     def reset(self, ids: Iterable[int]) -> None:
         """Put copies back to the start."""

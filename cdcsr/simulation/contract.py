@@ -25,10 +25,10 @@ Array = NDArray[np.float64]
 Ids = Sequence[int] | NDArray[np.integer] | None
 """Which copies: sorted unique indices, or None for all copies."""
 
-Capability = Literal["render", "bit_exact", "own_settings", "soft_cables"]
+Capability = Literal["render", "bit_exact", "soft_cables"]
 """An ability that only some engines have. render: it has its own camera. bit_exact: the same
-commands give the same bits, also after a snapshot. own_settings: it has `use_own_settings`.
-soft_cables: in its own settings cables can stretch."""
+commands give the same bits, also after a snapshot. soft_cables: cables under tension are longer
+than at rest, by millimetres."""
 
 
 @dataclass(frozen=True)
@@ -164,24 +164,6 @@ class Simulation(ABC):
             mine[chosen] = new
         self._line.set_delay(chosen, delay)
         self._set_plant(chosen, plant)
-
-    def use_own_settings(self, numbers: bool = True) -> None:
-        """Step as the engine does by itself from now on, and put all copies back to the start.
-
-        This undoes all settings that only make the engine agree with the description and with
-        other engines; masses, routes, springs, dampers and servos stay. The docstring of each
-        engine says what changes.
-
-        Args:
-            numbers: use the engine's own numbers too; if not, cables are held in the engine's own
-                way, if it has one, with the softness of the description.
-
-        Raises:
-            CdcsrError: the engine lacks the capability "own_settings".
-        """
-        raise CdcsrError(
-            f"The engine {self.engine!r} declares no settings of its own to go back to."
-        )
 
     def reset(self, ids: Ids = None) -> None:
         """Put copies back to the start: straight, at rest, time zero.

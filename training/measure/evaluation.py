@@ -154,8 +154,6 @@ def _environment(
         disturbances=disturbances,
         autoreset_mode="Disabled",
     )
-    if plant.own_settings or plant.own_cables:
-        env.simulation.use_own_settings(numbers=plant.own_settings)
     if plant.parameters is not None:
         env.simulation.set_parameters(None, plant.parameters)
     return env

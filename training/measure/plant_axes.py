@@ -8,8 +8,6 @@ from math import exp, log
 
 from cdcsr.errors import CdcsrError, unknown_choice
 from cdcsr.robot.description import Robot
-from cdcsr.simulation.contract import Capability
-from cdcsr.simulation.engines import load_backend
 from cdcsr.simulation.plant import Parameters
 
 
@@ -25,11 +23,6 @@ class ActualPlant:
     """How many time steps of the plant make one of the model, so that the control period stays."""
     observation_delay: int = 0
     """The age of an observation when it arrives, in actions."""
-    own_settings: bool = False
-    """Step as the engine does by itself; see
-    :meth:`cdcsr.simulation.contract.Simulation.use_own_settings`."""
-    own_cables: bool = False
-    """Hold cables as the engine does by itself, with the softness in the robot's description."""
 
 
 @dataclass(frozen=True)
@@ -46,18 +39,11 @@ class Axis:
     """The levels below nominal, outwards."""
     build: Callable[[Robot, float], ActualPlant]
     """Makes the plant at a level."""
-    needs: Capability | None = None
-    """An engine without this capability has the same plant at all levels."""
-
-    def acts_in(self, engine: str) -> bool:
-        """Return whether the levels differ in an engine that is installed."""
-        return self.needs is None or self.needs in load_backend(engine).capabilities
 
     @property
     def title(self) -> str:
         """The name for figures and tables."""
-        words = self.name.replace("_", " ")
-        return words if self.unit == "switch" else f"{words} [{self.unit}]"
+        return f"{self.name.replace('_', ' ')} [{self.unit}]"
 
     @property
     def nominal(self) -> float:
@@ -108,18 +94,6 @@ def _whole(name: str, level: float) -> int:
     return int(level)
 
 
-def _softer(robot: Robot, level: float) -> ActualPlant:
-    """Make cables soft: MuJoCo's soft limits with recovery time and compliance times `level`.
-
-    The compliance is (1 - d) / d, where d is the impedance.
-    """
-    data = robot.model_dump()
-    data["constraint"]["recovery_time"] *= level
-    impedance = robot.mujoco.impedance
-    data["mujoco"]["impedance"] = 1 / (1 + level * (1 - impedance) / impedance)
-    return ActualPlant(Robot.model_validate(data), own_cables=True)
-
-
 def _time_step(robot: Robot, level: float) -> ActualPlant:
     """Multiply the time step by `level`; a whole number of steps must make the control period."""
     substeps = round(1 / level) if 0 < level < 1 else 0
@@ -131,14 +105,6 @@ def _time_step(robot: Robot, level: float) -> ActualPlant:
     return ActualPlant(
         robot.model_copy(update={"time_step": robot.time_step / substeps}), substeps=substeps
     )
-
-
-def _own_settings(robot: Robot, level: float) -> ActualPlant:
-    if level != 1:
-        raise CdcsrError(
-            f"engine_defaults is 0 (settings that agree) or 1 (the engine's own), not {level:g}."
-        )
-    return ActualPlant(robot, own_settings=True)
 
 
 AXES: dict[str, Axis] = {
@@ -181,15 +147,6 @@ AXES: dict[str, Axis] = {
             ),
         ),
         Axis(
-            "cable_softness",
-            "recovery time and compliance of the engine's own soft cables",
-            "factor",
-            (2.0, 4.0, 8.0, 16.0, 32.0, 64.0, 128.0),
-            (),
-            _softer,
-            "soft_cables",
-        ),
-        Axis(
             "time_step",
             "time step of the plant; a coarser one would change the control period",
             "factor",
@@ -197,17 +154,13 @@ AXES: dict[str, Axis] = {
             (0.5, 0.25, 0.125),
             _time_step,
         ),
-        Axis(
-            "engine_defaults",
-            "the engine's own settings instead of those that agree",
-            "switch",
-            (1.0,),
-            (),
-            _own_settings,
-        ),
     )
 }
 """Every kind of model error, by name."""
+
+RETIRED_AXES = ("cable_softness", "engine_defaults")
+"""Axes that are no longer measured, as an engine's name says its settings now. Results of earlier
+versions have rows of them."""
 
 
 def find_axes(names: tuple[str, ...]) -> list[Axis]:

@@ -185,9 +185,8 @@ class Halving:
         """The text for a table."""
         if self.last.result is None:
             return f"diverges at {self.last.level:g}"
-        if self.level is None or self.axis.unit == "switch":
-            beyond = "beyond " if self.level is None else ""
-            return f"{beyond}{self.last.level:g} ({self.last.result.rate:.2f})"
+        if self.level is None:
+            return f"beyond {self.last.level:g} ({self.last.result.rate:.2f})"
         return f"{self.level:.3g}"
 
     def as_dict(self) -> dict[str, object]:

@@ -13,7 +13,6 @@ from numpy.typing import NDArray
 from cdcsr.envs.disturbances import Disturbances
 from cdcsr.envs.gym_env import TaskVectorEnv
 from cdcsr.robot.description import Robot
-from cdcsr.simulation.contract import Simulation
 from controllers.jacobian import JacobianController
 from tests.support.controllers import Still
 from tests.support.tiny import Options
@@ -136,21 +135,6 @@ def test_a_plant_adds_its_delay_to_the_disturbances(
         evaluate(Still(), small_robot, "mujoco", "anchor", 1, frame_skip=50, **options)
     late = Disturbances(action_noise=0.1, observation_delay=4)
     assert [options["disturbances"] for options in made] == [noise, late]
-
-
-def test_soft_cables_leave_the_engines_other_settings_alone(
-    small_robot: Robot, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    told: list[bool] = []
-    monkeypatch.setattr(
-        Simulation, "use_own_settings", lambda _, numbers=True: told.append(numbers)
-    )
-    for kind in {type(TaskVectorEnv(1, small_robot).simulation)}:
-        monkeypatch.setattr(kind, "use_own_settings", lambda _, numbers=True: told.append(numbers))
-    for name, level in (("link_mass", 2.0), ("cable_softness", 2.0), ("engine_defaults", 1.0)):
-        plant = AXES[name].plant(small_robot, level)
-        evaluate(Still(), small_robot, "mujoco", "anchor", 1, frame_skip=50, plant=plant)
-    assert told == [False, True]
 
 
 def test_a_sweep_ends_with_the_level_of_exactly_half_and_asks_for_the_policy_as_it_acts(

@@ -6,12 +6,10 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from backends.pybullet.simulation import PybulletSimulation
 from cdcsr.errors import CdcsrError
 from cdcsr.robot.description import Robot, load_robot
-from cdcsr.simulation.contract import Simulation, State
+from cdcsr.simulation.contract import State
 from cdcsr.simulation.engines import backend_names, make_simulation
-from cdcsr.simulation.plant import Parameters
 from controllers.controller import Conditions, Controller, Target
 from training.config.seeds import VALIDATION_SEED
 from training.measure.evaluation import evaluate
@@ -85,62 +83,6 @@ def test_the_time_step_axis_keeps_the_control_period(paper: Robot) -> None:
     assert result.length.tolist() == [250]
 
 
-def test_the_softness_axis_scales_time_and_compliance(paper: Robot) -> None:
-    soft = AXES["cable_softness"].plant(paper, 8.0).robot
-    assert soft.constraint.recovery_time == pytest.approx(8 * paper.constraint.recovery_time)
-    d, other = paper.mujoco.impedance, soft.mujoco.impedance
-    assert (1 - other) / other == pytest.approx(8 * (1 - d) / d)
-    assert soft.model_copy(update={"constraint": paper.constraint, "mujoco": paper.mujoco}) == paper
-
-
-def test_mujocos_own_settings_stretch_a_cable(paper: Robot) -> None:
-    simulation, excess = make_simulation(paper, "mujoco"), []
-    rest = simulation.dynamics().cable_length[0, 0]
-    for _ in range(2):
-        for _ in range(60):
-            simulation.step(np.array([[-5.0] + [0.0] * 7]))
-        excess.append(simulation.dynamics().cable_length[0, 0] - rest)
-        simulation.use_own_settings()
-    simulation.close()
-    assert abs(excess[0]) < 1e-4
-    assert excess[1] > 1e-3
-
-
-@pytest.mark.parametrize("workers", [0, 2])
-def test_pybullets_own_settings_damp_a_drift(workers: int, paper: Robot) -> None:
-    """Bullet's law for multibodies is v' = -k (1 + |v|) v on every body alike."""
-    simulation, after = PybulletSimulation(paper, 2, workers=workers), []
-    for _ in range(2):
-        snapshot = simulation.get_snapshot()
-        snapshot.velocity[:, 2] = 0.1
-        simulation.set_snapshot(snapshot)
-        simulation.step(np.zeros((2, 8)), substeps=100)
-        after.append(simulation.state().tip_velocity[:, 2])
-        simulation.use_own_settings()
-    assert (simulation.state().time == 0).all()
-    simulation.close()
-    expected = 0.1
-    for _ in range(100):
-        expected -= paper.time_step * 0.04 * (1 + expected) * expected
-    np.testing.assert_allclose(after[0], 0.1, rtol=1e-9)
-    np.testing.assert_allclose(after[1], expected, rtol=1e-4)
-
-
-@both
-def test_own_settings_leave_parameters_in_force(backend: str, paper: Robot) -> None:
-    simulation = make_simulation(paper, backend)
-    simulation.set_parameters(None, Parameters(base_mass=2.0))
-    simulation.use_own_settings()
-    mass = simulation.dynamics().mass_matrix[0, 0, 0]
-    simulation.close()
-    assert mass == pytest.approx(paper.total_mass + paper.base.mass)
-
-
-def test_an_engine_without_settings_of_its_own_says_so(paper: Robot) -> None:
-    with pytest.raises(CdcsrError, match="'mujoco' declares no settings of its own"):
-        Simulation.use_own_settings(make_simulation(paper, "mujoco"))
-
-
 @pytest.mark.parametrize("name", ["servo_gain", "command_delay", "observation_delay"])
 def test_a_policy_fails_on_a_plant_that_is_far_off(name: str, policy: Policy, paper: Robot) -> None:
     level = {"servo_gain": 0.1, "command_delay": 100.0, "observation_delay": 100.0}[name]
@@ -164,9 +106,7 @@ def test_every_level_makes_a_plant(axis: Axis, paper: Robot) -> None:
         if plant.parameters is not None:
             plant.parameters.plant(paper, 1)
             plant.parameters.delay(1)
-        assert (plant.robot is paper) == (
-            level == axis.nominal or axis.name not in ("cable_softness", "time_step")
-        )
+        assert (plant.robot is paper) == (level == axis.nominal or axis.name != "time_step")
 
 
 @pytest.mark.parametrize(
@@ -175,7 +115,6 @@ def test_every_level_makes_a_plant(axis: Axis, paper: Robot) -> None:
         ("time_step", 2.0, "must be 1 over a whole number"),
         ("time_step", 0.3, "must be 1 over a whole number"),
         ("command_delay", 1.5, "must be a whole number of steps, not 1.5"),
-        ("engine_defaults", 0.5, "is 0 .* or 1"),
     ],
 )
 def test_levels_that_are_none_are_refused(
@@ -198,14 +137,14 @@ def test_an_unknown_axis_is_told() -> None:
 
 
 def test_a_policy_acts_on_a_changed_robot_only_if_told_to(policy: Policy, paper: Robot) -> None:
-    softer, softest = (AXES["cable_softness"].plant(paper, level) for level in (2.0, 4.0))
+    finer, finest = (AXES["time_step"].plant(paper, level) for level in (0.5, 0.25))
     arguments = ("mujoco", "spatter", 1, VALIDATION_SEED)
     with pytest.raises(CdcsrError, match="is for robot 'paper'"):
-        evaluate(policy, softer.robot, *arguments)
-    evaluate(policy, paper, *arguments, plant=softer)
+        evaluate(policy, finer.robot, *arguments)
+    evaluate(policy, paper, *arguments, plant=finer)
     with pytest.raises(CdcsrError, match="is for robot 'paper'"):
-        evaluate(policy, softer.robot, *arguments)  # it does not stay allowed
+        evaluate(policy, finer.robot, *arguments)  # it does not stay allowed
     with pytest.raises(CdcsrError, match="is for robot 'paper'"):
-        evaluate(policy.on(softer.robot), softest.robot, *arguments)
+        evaluate(policy.on(finer.robot), finest.robot, *arguments)
     with pytest.raises(CdcsrError, match="it is for other links or cables"):
         policy.on(load_robot("planar-single"))

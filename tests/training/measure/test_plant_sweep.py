@@ -141,7 +141,7 @@ def test_the_command_writes_every_episode(
     command(
         "jacobian",
         backend="mujoco",
-        axis=("engine_defaults",),
+        axis=("time_step",),
         episodes=2,
         seed=1,
         csv=table,
@@ -151,6 +151,7 @@ def test_the_command_writes_every_episode(
         rows = list(csv.DictReader(file))
     assert ",".join(rows[0]) == "backend,space,axis,level,episode,success,length,distance"
     found = [(row["level"], row["episode"]) for row in rows]
-    assert found == [("0.0", "0"), ("0.0", "1"), ("1.0", "0"), ("1.0", "1")]
-    assert [point["level"] for point in json.loads(data.read_text("utf-8"))["points"]] == [0.0, 1.0]
-    assert "| engine_defaults | switch | up |" in capsys.readouterr().out
+    levels = [1.0, 0.5, 0.25, 0.125]
+    assert found == [(str(level), episode) for level in levels for episode in "01"]
+    assert [point["level"] for point in json.loads(data.read_text("utf-8"))["points"]] == levels
+    assert "| time_step | factor | down |" in capsys.readouterr().out

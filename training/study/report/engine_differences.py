@@ -25,10 +25,7 @@ def differences(runs: Sequence[Run]) -> Table:
         for axis, pair in _pairs(run):
             found.setdefault(axis, []).append((run, *pair))
     rows: list[list[Value]] = []
-    for axis in (
-        DESCRIBED,
-        *(name for name, axis in AXES.items() if all(map(axis.acts_in, backend_names()))),
-    ):
+    for axis in (DESCRIBED, *AXES):
         pairs = found.get(axis, [])
         counts = sum(
             (np.array(disagreement(one.success, two.success)) for _, one, two in pairs),
@@ -49,9 +46,8 @@ def differences(runs: Sequence[Run]) -> Table:
     note = (
         "Episodes of one policy on one target and plant, run in both engines, whatever the method,"
         " space, task or engine of training; on changed plants at all levels that both could"
-        " simulate, without the level of training. Axes that one engine lacks (softness of cables)"
-        " are left out. The last column names the episodes on the described plant: run, space,"
-        " target."
+        " simulate, without the level of training. The last column names the episodes on the"
+        " described plant: run, space, target."
     )
     head = ("plant", "runs", "episodes in both", "end differently", *only, "which")
     return Table("engines", "Where the engines differ", note, head, rows)
@@ -60,8 +56,9 @@ def differences(runs: Sequence[Run]) -> Table:
 def stock_settings(runs: Sequence[Run]) -> Table:
     """Compare success with the engines' stock settings and with those that agree, by policy.
 
-    The engine's own integrator and limit softness take the place of the settings that make the
-    engines agree. A run's episodes are on the same targets both times.
+    The rows are of an earlier version, in which this was an axis of the plant; see
+    :data:`training.measure.plant_axes.RETIRED_AXES`. A run's episodes are on the same targets both
+    times.
     """
     rows: list[list[Value]] = []
     chosen = [run for run in runs if "plants" in run.evaluations]
@@ -76,7 +73,11 @@ def stock_settings(runs: Sequence[Run]) -> Table:
             names = [*trained(setting), SPACES.get(setting.space, setting.space)]
             rows.append([*names, engine_title(engine), *values, len(stock.runs)])
     head = (*TRAINED, "space", "tested in", "κ agreed", "κ stock", "episodes", "seeds")
-    note = basis(chosen) + " Agreed settings are those with which the engines agree."
+    note = basis(chosen) + (
+        " Measured in an earlier version. Agreed: the settings with which MuJoCo and the PyBullet"
+        " of that version agreed. Stock: MuJoCo's Euler integrator and softness of limits;"
+        " PyBullet's damping of 0.04 and clamp on joint speeds."
+    )
     return Table("stock", "With the engines' stock settings", note, head, rows)
 
 

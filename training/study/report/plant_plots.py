@@ -158,8 +158,6 @@ def _draw_sweeps(found: dict[str, dict[RunDescription, list[Sweep]]], path: Path
             axes.axvline(AXES[axis].nominal, color=SOFT, lw=0.8, ls=":")
             if AXES[axis].unit == "factor":
                 _factors(axes)
-            elif AXES[axis].unit == "switch":
-                axes.set(xlim=(-0.3, 1.3), xticks=(0, 1), xticklabels=("matched", "its own"))
             else:
                 axes.xaxis.set_major_locator(MaxNLocator(4, steps=(1, 2, 5, 10)))
             tidy(axes)

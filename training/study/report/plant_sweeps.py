@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from cdcsr.errors import CdcsrError, unknown_choice
-from training.measure.plant_axes import AXES
+from training.measure.plant_axes import AXES, RETIRED_AXES
 from training.measure.statistics import Sweep
 from training.study.report.records import Run
 
@@ -16,8 +16,7 @@ def sweeps(runs: Sequence[Run], axis: str, engine: str, space: str) -> dict[str,
     """Return the sweeps of some seeds along one axis, by the names of their runs.
 
     If the evaluation lacks the nominal level, it comes from the nominal evaluation. A level at
-    which the simulation diverged has no rows and is no level of the sweep. An engine to which the
-    axis means nothing has no sweep.
+    which the simulation diverged has no rows and is no level of the sweep.
 
     Args:
         runs: any.
@@ -29,8 +28,6 @@ def sweeps(runs: Sequence[Run], axis: str, engine: str, space: str) -> dict[str,
         CdcsrError: the levels of a run have different episodes.
     """
     found: dict[str, Sweep] = {}
-    if not AXES[axis].acts_in(engine):
-        return found
     for run in runs:
         if "plants" not in run.evaluations:
             continue
@@ -61,7 +58,7 @@ def check_axes(runs: Sequence[Run]) -> None:
     for run in runs:
         if "plants" in run.evaluations:
             for name in np.unique(run.evaluations["plants"].axis):
-                if name not in AXES and name != "nominal":
+                if name not in (*AXES, *RETIRED_AXES, "nominal"):
                     raise CdcsrError(
                         f"Run {run.name}: " + unknown_choice("axis of the plant", str(name), AXES)
                     )
