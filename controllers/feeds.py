@@ -23,7 +23,7 @@ def act_on_simulation(
     simulation: Simulation,
     targets: Array,
     actions: int,
-    frame_skip: int = 1,
+    frame_skip: int,
     stays: bool = True,
 ) -> Array:
     """Let a controller act on a simulation that was just reset, towards targets that rest.

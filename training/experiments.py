@@ -55,7 +55,7 @@ def experiments(
         pack: move the finished runs of the working folder into the store, and do nothing else.
         json: also write to this file what became of each run.
     """
-    from cdcsr.errors import CdcsrError, CheckFailed
+    from cdcsr.errors import CdcsrError
     from cdcsr.files import write_json
     from training.study import store as results_store
     from training.study.declare.budgets import BUDGETS
@@ -63,8 +63,7 @@ def experiments(
     if pack:
         print(f"{results_store.pack(results, store)} runs packed from {results} into {store}")
         return
-    _refuse(names, list, executor, address, jobs)
-    chosen = _chosen(names)
+    chosen = _chosen(names, list, executor, address, jobs)
     amounts = BUDGETS[budget]
     stored = results_store.read_results(store) if (store / results_store.RECORDS).is_file() else {}
     wanted = _jobs(chosen, amounts, only)
@@ -84,22 +83,30 @@ def experiments(
     outcome = _carry_out(left, runs, results, jobs, executor, address)
     names_left = {job.name for job in left}
     outcome.skipped[:0] = [job.name for job in wanted if job.name not in names_left]
-    print(
-        f"{len(outcome.finished)} runs finished, {len(outcome.skipped)} done before, "
-        f"{len(outcome.failed)} failed"
-    )
     if json is not None:
         write_json(json, {"experiments": chosen, "budget": budget, **vars(outcome)})
+    _conclude(outcome, len(wanted))
+
+
+def _conclude(outcome: Outcome, wanted: int) -> None:
+    """Say what became of the runs.
+
+    Raises:
+        CheckFailed: a run failed.
+    """
+    from cdcsr.errors import CheckFailed
+
+    finished, skipped, failed = map(len, (outcome.finished, outcome.skipped, outcome.failed))
+    print(f"{finished} runs finished, {skipped} done before, {failed} failed")
     if outcome.failed:
         name, why = next(iter(outcome.failed.items()))
-        raise CheckFailed(
-            f"{len(outcome.failed)} of {len(wanted)} runs failed, first: {name}: {why}"
-        )
+        raise CheckFailed(f"{failed} of {wanted} runs failed, first: {name}: {why}")
 
 
-def _refuse(
+def _chosen(
     names: Sequence[str], listed: bool, executor: str, address: str | None, jobs: int | None
-) -> None:
+) -> Sequence[str]:
+    """Return the experiments that are meant; refuse options that do not fit together."""
     from cdcsr.errors import CdcsrError, unknown_choice
     from training.study.declare.grid import EXPERIMENTS
 
@@ -114,11 +121,6 @@ def _refuse(
         raise CdcsrError(
             "--jobs is for this machine; a Ray cluster has as many runs side by side as processors."
         )
-
-
-def _chosen(names: Sequence[str]) -> Sequence[str]:
-    from training.study.declare.grid import EXPERIMENTS
-
     return tuple(EXPERIMENTS) if not names or "all" in names else names
 
 

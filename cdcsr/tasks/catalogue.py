@@ -44,15 +44,8 @@ class Capture(Task):
     kind: ClassVar[str] = "capture"
     count_names: ClassVar[tuple[str, ...]] = ("dwelt",)
 
-    def on_target(
-        self,
-        distance: Array,
-        relative_velocity: Array,
-        base_position: Array,
-        base_quaternion: Array,
-    ) -> Mask:
-        near = super().on_target(distance, relative_velocity, base_position, base_quaternion)
-        return near & (np.linalg.norm(relative_velocity, axis=1) < self.speed)
+    def _is_slow(self, relative_velocity: Array) -> Mask:
+        return np.linalg.norm(relative_velocity, axis=1) < self.speed
 
     def _count(self, on_target: Mask, counts: Counts) -> None:
         counts["dwelt"] += 1

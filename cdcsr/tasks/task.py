@@ -134,7 +134,11 @@ class Task(ABC):
         if self.quiet:
             shift, tilt = base_errors(base_position, base_quaternion)
             near &= (shift <= BASE_SHIFT) & (tilt <= BASE_TILT)
-        return near
+        return near & self._is_slow(relative_velocity)
+
+    def _is_slow(self, relative_velocity: Array) -> Mask:
+        """Return whether the tip is slow enough to be on the target, shape (n,); here always."""
+        return np.ones(len(relative_velocity), dtype=bool)
 
     @abstractmethod
     def _count(self, on_target: Mask, counts: Counts) -> None:

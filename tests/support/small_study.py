@@ -88,6 +88,12 @@ def find(table: Table, **wanted: object) -> dict[str, Any]:
     return row
 
 
+def shown(table: Table, *names: str) -> list[tuple[Any, ...]]:
+    """Some columns of the rows that something was run for."""
+    places = [table.head.index(name) for name in names]
+    return [tuple(row[i] for i in places) for row in table.rows if row[table.head.index("seeds")]]
+
+
 def small_study(folder: Path) -> Path:
     """Three seeds of BATD3 in Anchor Space, one of it in Spatter, and a demonstrator."""
     for seed, (own, other) in enumerate((("1111", "1110"), ("1110", "1110"), ("1000", "0001"))):

@@ -12,13 +12,13 @@ if TYPE_CHECKING:
 def demonstrate(
     *,
     out: Path,
-    backend: str = "mujoco",
-    space: str = "anchor",
-    episodes: int = 10,
-    seed: int = 0,
     robot: str = "paper",
     frame_skip: int = 1,
+    backend: str = "mujoco",
+    space: str = "anchor",
     task: str = "reach",
+    episodes: int = 10,
+    seed: int = 0,
     force: bool = False,
     json: Path | None = None,
 ) -> None:
@@ -26,14 +26,14 @@ def demonstrate(
 
     Args:
         out: the folder of the dataset.
-        backend: the engine.
-        space: the operation space of the targets: anchor, floating, spatter or workspace.
-        episodes: how many successful episodes.
-        seed: seed of the targets.
         robot: a shipped robot's name, or a path ending in .toml.
         frame_skip: how many simulation steps each command is held for.
+        backend: the engine.
+        space: the operation space of the targets: anchor, floating, spatter or workspace.
         task: reach, precise, quiet, capture, capture-drift, capture-tumble, follow-line,
             follow-circle or follow-random.
+        episodes: how many successful episodes.
+        seed: seed of the targets.
         force: replace an existing folder.
         json: also write the summary to this file.
     """

@@ -9,12 +9,12 @@ def evaluate(
     policy: str,
     /,
     *,
+    robot: str = "paper",
     backend: str = "all",
     space: str | None = None,
     task: str | None = None,
     episodes: int = 100,
     seed: int | None = None,
-    robot: str = "paper",
     action_noise: float = 0.0,
     base_noise: float = 0.0,
     packet_loss: float = 0.0,
@@ -27,12 +27,12 @@ def evaluate(
         policy: folder of a policy or a run, name of a shipped policy, "jacobian" (the scripted
             demonstrator), "nearest" (replays the nearest demonstration), package.module:Object (a
             controller of your own), or a .zip of stable-baselines3.
+        robot: the robot, unless the policy brings its own.
         backend: an engine, or all.
         space: anchor, floating, spatter or workspace; by default that of the training.
         task: the task; by default the one it was trained for.
         episodes: how many episodes, run as one batch.
         seed: seed of the targets; by default the one that nothing is tuned on.
-        robot: the robot, unless the policy brings its own.
         action_noise: standard deviation of noise on the commands, in [m] of set-point.
         base_noise: standard deviation of noise on the observed base position, in [m].
         packet_loss: probability that an observation is lost.

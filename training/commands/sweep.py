@@ -14,10 +14,10 @@ def sweep(
     policy: str,
     /,
     *,
+    axis: tuple[str, ...] = ("all",),
     backend: str = "all",
     space: str | None = None,
     task: str | None = None,
-    axis: tuple[str, ...] = ("all",),
     episodes: int = 100,
     seed: int | None = None,
     robot: str = "paper",
@@ -27,13 +27,12 @@ def sweep(
     """Measure a controller on plants that differ ever more from the model, until success halves.
 
     Args:
-        policy: folder of a policy or a run, name of a shipped policy, "jacobian" (the scripted
-            demonstrator), "nearest" (replays the nearest demonstration), package.module:Object (a
-            controller of your own), or a .zip of stable-baselines3.
+        policy: folder of a policy or a run, name of a shipped policy, or another controller that
+            `cdcsr evaluate` takes.
+        axis: the model errors to sweep: names of axes, or all.
         backend: an engine, or all.
         space: anchor, floating, spatter or workspace; by default that of the training.
         task: the task; by default the one it was trained for.
-        axis: the model errors to sweep: names of axes, or all.
         episodes: how many episodes at each level, run as one batch.
         seed: seed of the targets; by default the one that nothing is tuned on.
         robot: the robot, unless the policy brings its own.

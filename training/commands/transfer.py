@@ -12,9 +12,9 @@ def transfer(
     *,
     backend: str = "all",
     space: str = "all",
-    task: str | None = None,
     episodes: int = 100,
     seed: int | None = None,
+    task: str | None = None,
     json: Path | None = None,
     plot: Path | None = None,
 ) -> None:
@@ -26,9 +26,9 @@ def transfer(
             controller of your own), or .zip files of stable-baselines3.
         backend: an engine, or all.
         space: anchor, floating, spatter or workspace; or all, which is the first three.
-        task: the task; by default the one that all of them were trained for.
         episodes: how many episodes in each cell, run as one batch.
         seed: seed of the targets; by default the one that nothing is tuned on.
+        task: the task; by default the one that all of them were trained for.
         json: also write the results, each episode included, to this file.
         plot: also draw which targets are reached, in a panel for each cell, to this PNG.
     """

@@ -10,8 +10,8 @@ def workspace(
     /,
     *,
     out: Path,
-    backend: str = "mujoco",
     spacing: float = 0.05,
+    backend: str = "mujoco",
     frame_skip: int = 5,
     plot: Path | None = None,
     json: Path | None = None,
@@ -23,8 +23,8 @@ def workspace(
     Args:
         robot: a shipped robot's name, or a path ending in .toml.
         out: the map, an .npz file.
-        backend: the engine.
         spacing: the distance between the targets of the grid that are tried, in m.
+        backend: the engine.
         frame_skip: how many simulation steps each command is held for; fewer take longer.
         plot: also draw the map into this PNG file.
         json: also write the summary to this file.

@@ -126,13 +126,12 @@ def sweep(
             "cannot halve; choose another controller, task or space."
         )
     points = [nominal]
-    if progress:
-        progress(nominal)
+    report = progress or (lambda _: None)
+    report(nominal)
     for direction in directions(axis, levels):
         for level in direction:
             points.append(measured(level))
-            if progress:
-                progress(points[-1])
+            report(points[-1])
             result = points[-1].result
             if result is None or result.rate <= nominal.result.rate / 2:
                 break

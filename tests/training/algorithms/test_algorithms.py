@@ -203,13 +203,13 @@ def test_what_each_begins_with(tmp_path: Path, demonstrations: Path, algorithm: 
     config = Train(
         out=tmp_path / "run",
         algorithm=algorithm,
-        frame_skip=FRAME_SKIP,
+        changes=_few(algorithm),
         demonstrations=demonstrations,
+        frame_skip=FRAME_SKIP,
         evaluate_every=0,
         evaluate_episodes=1,
         stop_after=0.0,
         updates=2,
-        changes=_few(algorithm),
     )
     train(config)
     with safe_open(tmp_path / "run" / "state.safetensors", framework="pt") as file:

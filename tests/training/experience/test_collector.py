@@ -24,12 +24,12 @@ Array, Mask = NDArray[np.float64], NDArray[np.bool_]
 
 NUM, STEPS, GAMMA = 5, 4, 0.9
 LEARNER = Practising(
+    capacity=700,
+    noise_hold=3,
     hidden=(8, 8),
     num_envs=NUM,
     return_steps=STEPS,
     discount=GAMMA,
-    capacity=700,
-    noise_hold=3,
     exploration_noise=0.5,
     noise_ladder=True,
     batch_size=16,

@@ -15,7 +15,7 @@ from training.study.report.beside_paper import (
     beside_table_4,
 )
 from training.study.report.cells import Table
-from training.study.report.engine_differences import differences, stock_settings
+from training.study.report.engine_differences import differences, stock_settings, tasks, transfer
 from training.study.report.learning_curves import Figures, curve_figures
 from training.study.report.nearness import nearness, nearness_figures
 from training.study.report.plant_plots import follow_figures, plant_figures
@@ -26,7 +26,6 @@ from training.study.report.tables import (
     demonstrations,
     generalization,
     robustness,
-    transfer,
 )
 from training.study.report.tables_beyond import (
     aggregate,
@@ -36,7 +35,6 @@ from training.study.report.tables_beyond import (
     raised,
     searches,
     shipped,
-    tasks,
 )
 
 PAPER_TABLES: tuple[Callable[[Sequence[Run], Expected | None], Table], ...] = (

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from itertools import combinations
 
 import numpy as np
 
@@ -10,12 +11,53 @@ from cdcsr.simulation.engines import backend_names, engine_title
 from training.measure.plant_axes import AXES
 from training.measure.statistics import disagreement
 from training.study.declare.grid import AROUND
-from training.study.report.cells import TRAINED, Table, Value, measure, trained
-from training.study.report.records import SPACES, Episodes, Run, grouped
-from training.study.report.table_parts import basis, engines_of
+from training.study.report.cells import COST, TRAINED, Table, Value, cost, measure, trained
+from training.study.report.records import (
+    DEMONSTRATIONS,
+    SPACES,
+    Episodes,
+    Run,
+    at_home,
+    grouped,
+    is_of_paper,
+)
+from training.study.report.table_parts import basis, engines_of, success
 
 DESCRIBED = "as described"
 """The name of the unchanged plant, in the place of an axis."""
+
+
+def transfer(runs: Sequence[Run]) -> Table:
+    """Return every method trained in each engine and tested in each, on the same targets."""
+    chosen = [run for run in runs if is_of_paper(run.setting) and not run.setting.changes]
+    chosen = [run for run in chosen if run.setting.num_demonstrations in (0, DEMONSTRATIONS)]
+    engines = engines_of(chosen)
+    rows: list[list[Value]] = []
+    for space in SPACES:
+        for setting, group in grouped(chosen, "space").items():
+            seeds = at_home(group, space)
+            if seeds:
+                values = _in_engines(seeds, engines, space)
+                rows.append([SPACES[space], *trained(setting), *values, *cost(seeds)])
+    head = ("space", *TRAINED, *_heads(engines), *COST)
+    note = basis(chosen) + (
+        " Disagreements count the episodes of all seeds that succeed in one engine only."
+    )
+    return Table("transfer", "Transfer between engines", note, head, rows)
+
+
+def tasks(runs: Sequence[Run]) -> Table:
+    """Return tasks and spaces beyond the paper, in every engine."""
+    chosen = [run for run in runs if not is_of_paper(run.setting)]
+    engines = engines_of(chosen)
+    rows: list[list[Value]] = []
+    for setting, group in sorted(
+        grouped(chosen).items(), key=lambda item: (item[0].task, item[0].space)
+    ):
+        values = _in_engines(group, engines, setting.space)
+        rows.append([setting.task, setting.space, *trained(setting), *values, *cost(group)])
+    head = ("task", "space", *TRAINED, *_heads(engines), *COST)
+    return Table("tasks", "Tasks beyond the paper", basis(chosen), head, rows)
 
 
 def differences(runs: Sequence[Run]) -> Table:
@@ -79,6 +121,31 @@ def stock_settings(runs: Sequence[Run]) -> Table:
         " PyBullet's damping of 0.04 and clamp on joint speeds."
     )
     return Table("stock", "With the engines' stock settings", note, head, rows)
+
+
+def _heads(engines: Sequence[str]) -> list[str]:
+    titles = [engine_title(name) for name in engines]
+    return [f"κ in {title}" for title in titles] + [
+        f"only {a} / only {b}" for a, b in combinations(titles, 2)
+    ]
+
+
+def _in_engines(seeds: Sequence[Run], engines: Sequence[str], space: str) -> list[Value]:
+    values = [success(seeds, "nominal", space, engine) for engine in engines]
+    return values + [_disagreements(seeds, pair, space) for pair in combinations(engines, 2)]
+
+
+def _disagreements(seeds: Sequence[Run], engines: tuple[str, str], space: str) -> Value:
+    counts, total = np.zeros(2, dtype=int), 0
+    for run in seeds:
+        if "nominal" in run.evaluations:
+            first, second = (
+                run.evaluations["nominal"].where(backend=name, space=space) for name in engines
+            )
+            if len(first) and np.array_equal(first.episode, second.episode):
+                counts += disagreement(first.success, second.success)
+                total += len(first)
+    return f"{counts[0]} / {counts[1]} of {total}" if total else None
 
 
 def _pairs(run: Run) -> Iterator[tuple[str, tuple[Episodes, Episodes]]]:

@@ -48,20 +48,17 @@ TABLE_4: dict[tuple[str, float, str], Printed] = {
     (axis, level, space): printed
     for axis, levels in {
         "action_noise": {
-            0.0: _UNDISTURBED,
             0.5: _row((0.75, 148.2, 62.4), (0.79, 137.7, 62.8), (0.65, 153.5, 73.1)),
             1.0: _row((0.75, 151.5, 60.7), (0.77, 144.1, 62.7), (0.63, 159.4, 71.6)),
             1.5: _row((0.74, 155.9, 59.2), (0.72, 155.7, 62.8), (0.59, 168.5, 69.9)),
             2.0: _row((0.71, 165.3, 57.6), (0.70, 164.8, 60.7), (0.57, 172.7, 67.2)),
         },
         "base_noise": {
-            0.0: _UNDISTURBED,
             0.01: _row((0.74, 147.1, 64.7), (0.76, 139.4, 66.6), (0.65, 153.0, 73.7)),
             0.02: _row((0.71, 151.0, 67.0), (0.70, 147.4, 70.9), (0.62, 156.5, 75.0)),
             0.03: _row((0.68, 155.2, 68.9), (0.67, 152.0, 72.6), (0.61, 161.2, 73.7)),
         },
         "packet_loss": {
-            0.0: _UNDISTURBED,
             0.2: _row((0.76, 144.5, 63.2), (0.79, 135.9, 63.7), (0.65, 151.4, 74.7)),
             0.4: _row((0.76, 144.5, 63.3), (0.79, 136.2, 63.5), (0.65, 151.2, 74.8)),
             0.6: _row((0.75, 144.5, 64.3), (0.79, 136.4, 63.2), (0.64, 152.5, 75.3)),
@@ -69,7 +66,7 @@ TABLE_4: dict[tuple[str, float, str], Printed] = {
             1.0: _row(_FAILS, _FAILS, _FAILS),
         },
     }.items()
-    for level, row in levels.items()
+    for level, row in {0.0: _UNDISTURBED, **levels}.items()
     for space, printed in zip(_SPACES, row, strict=True)
 }
 """BATD3, by what disturbs, how much, and the space it was trained and tested in."""

@@ -3,13 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Sequence
-from itertools import combinations
 
 import numpy as np
 
 from cdcsr.simulation.engines import backend_names, engine_title
 from training.algorithms.registry import algorithm_title
-from training.measure.statistics import disagreement
 from training.study.report.cells import COST, TRAINED, Table, Value, amount, cost, measure, trained
 from training.study.report.records import SPACES, Run, at_home, grouped
 
@@ -87,28 +85,3 @@ def not_run(algorithm: str) -> list[Value]:
 def not_trained(algorithm: str) -> list[Value]:
     """Return the columns of :func:`trained` for an algorithm without a run."""
     return [algorithm_title(algorithm), "-", engine_title("mujoco")]
-
-
-def engine_heads(engines: Sequence[str]) -> list[str]:
-    titles = [engine_title(name) for name in engines]
-    return [f"κ in {title}" for title in titles] + [
-        f"only {a} / only {b}" for a, b in combinations(titles, 2)
-    ]
-
-
-def in_engines(seeds: Sequence[Run], engines: Sequence[str], space: str) -> list[Value]:
-    values = [success(seeds, "nominal", space, engine) for engine in engines]
-    return values + [_disagreements(seeds, pair, space) for pair in combinations(engines, 2)]
-
-
-def _disagreements(seeds: Sequence[Run], engines: tuple[str, str], space: str) -> Value:
-    counts, total = np.zeros(2, dtype=int), 0
-    for run in seeds:
-        if "nominal" in run.evaluations:
-            first, second = (
-                run.evaluations["nominal"].where(backend=name, space=space) for name in engines
-            )
-            if len(first) and np.array_equal(first.episode, second.episode):
-                counts += disagreement(first.success, second.success)
-                total += len(first)
-    return f"{counts[0]} / {counts[1]} of {total}" if total else None

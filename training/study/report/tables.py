@@ -17,7 +17,6 @@ from training.study.report.records import (
     DEMONSTRATIONS,
     JACOBIAN,
     SPACES,
-    Episodes,
     Run,
     at_home,
     grouped,
@@ -28,10 +27,7 @@ from training.study.report.records import (
 from training.study.report.table_parts import (
     RESULT,
     basis,
-    engine_heads,
-    engines_of,
     home_table,
-    in_engines,
     not_run,
     not_trained,
     result,
@@ -145,15 +141,15 @@ def _any_run(runs: Sequence[Run], axis: str, level: float) -> list[Value]:
     count = 0
     for space in SPACES:
         cell = disturbed(at_home(runs, space), axis, level, space)
-        values += [rate([_united(cell.episodes)]) if cell else None, "-"]
+        values += [rate([_united(cell)]) if cell else None, "-"]
         count += len(cell.runs) if cell else 0
     return [ANY_RUN, "-", "-", *values, count, *["-"] * (len(COST) - 1)]
 
 
-def _united(found: Sequence[Episodes]) -> NDArray[np.bool_]:
+def _united(cell: Cell) -> NDArray[np.bool_]:
     """Return, for each target that occurs, whether any of the episodes succeeds there."""
-    targets = np.concatenate([one.episode for one in found])
-    success = np.concatenate([one.success for one in found])
+    targets = np.concatenate([one.episode for one in cell.episodes])
+    success = np.concatenate([one.success for one in cell.episodes])
     return np.isin(np.unique(targets), targets[success])
 
 
@@ -161,22 +157,3 @@ def disturbed(runs: Sequence[Run], axis: str, level: float, space: str) -> Cell 
     """Measure a cell of Table IV; without rows of its own, level 0 is the nominal evaluation."""
     cell = measure(runs, "disturbances", space=space, axis=axis, level=level)
     return measure(runs, "nominal", space=space) if cell is None and level == 0 else cell
-
-
-def transfer(runs: Sequence[Run]) -> Table:
-    """Return every method trained in each engine and tested in each, on the same targets."""
-    chosen = [run for run in runs if is_of_paper(run.setting) and not run.setting.changes]
-    chosen = [run for run in chosen if run.setting.num_demonstrations in (0, DEMONSTRATIONS)]
-    engines = engines_of(chosen)
-    rows: list[list[Value]] = []
-    for space in SPACES:
-        for setting, group in grouped(chosen, "space").items():
-            seeds = at_home(group, space)
-            if seeds:
-                values = in_engines(seeds, engines, space)
-                rows.append([SPACES[space], *trained(setting), *values, *cost(seeds)])
-    head = ("space", *TRAINED, *engine_heads(engines), *COST)
-    note = basis(chosen) + (
-        " Disagreements count the episodes of all seeds that succeed in one engine only."
-    )
-    return Table("transfer", "Transfer between engines", note, head, rows)

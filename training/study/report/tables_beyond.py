@@ -23,18 +23,15 @@ from training.study.report.records import (
     Run,
     at_home,
     grouped,
-    is_of_paper,
     is_plain,
     is_usual,
 )
 from training.study.report.table_parts import (
     RESULT,
     basis,
-    engine_heads,
     engines_of,
     home_rows,
     home_table,
-    in_engines,
 )
 
 SIDES: tuple[Literal["below", "above"], ...] = ("below", "above")
@@ -120,20 +117,6 @@ def raised(runs: Sequence[Run]) -> Table:
         rows += home_rows(at_home(some, space), space)
     title = "The paper's preset with numbers of the preset `tuned`"
     return Table("raised", title, basis(chosen), ("space", *TRAINED, *RESULT, *COST), rows)
-
-
-def tasks(runs: Sequence[Run]) -> Table:
-    """Return tasks and spaces beyond the paper, in every engine."""
-    chosen = [run for run in runs if not is_of_paper(run.setting)]
-    engines = engines_of(chosen)
-    rows: list[list[Value]] = []
-    for setting, group in sorted(
-        grouped(chosen).items(), key=lambda item: (item[0].task, item[0].space)
-    ):
-        values = in_engines(group, engines, setting.space)
-        rows.append([setting.task, setting.space, *trained(setting), *values, *cost(group)])
-    head = ("task", "space", *TRAINED, *engine_heads(engines), *COST)
-    return Table("tasks", "Tasks beyond the paper", basis(chosen), head, rows)
 
 
 def halvings(runs: Sequence[Run]) -> Table:

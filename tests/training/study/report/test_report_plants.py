@@ -9,10 +9,9 @@ import pytest
 from cdcsr.errors import CdcsrError
 from tests.support.small_study import find, nominal, write_csv, write_run
 from training.report import report
-from training.study.report.engine_differences import differences
+from training.study.report.engine_differences import differences, transfer
 from training.study.report.plant_sweeps import sweeps
 from training.study.report.records import load_study
-from training.study.report.tables import transfer
 from training.study.report.tables_beyond import halvings
 
 

@@ -9,9 +9,11 @@ from typing import Any
 import numpy as np
 import pytest
 
-from tests.support.small_study import beside_paper, find, nominal, write_run
+from tests.support.small_study import beside_paper, find, nominal, shown, write_run
 from training.measure.statistics import Estimate
-from training.study.report.cells import Table, measure
+from training.study.report.cells import measure
+from training.study.report.engine_differences import tasks
+from training.study.report.engine_differences import transfer as between_engines
 from training.study.report.records import load_study
 from training.study.report.table_parts import engines_of
 from training.study.report.tables import (
@@ -20,17 +22,9 @@ from training.study.report.tables import (
     demonstrations,
     generalization,
 )
-from training.study.report.tables import transfer as between_engines
 from training.study.report.tables_beyond import (
     aggregate,
-    tasks,
 )
-
-
-def shown(table: Table, *names: str) -> list[tuple[Any, ...]]:
-    """Some columns of the rows that something was run for."""
-    places = [table.head.index(name) for name in names]
-    return [tuple(row[i] for i in places) for row in table.rows if row[table.head.index("seeds")]]
 
 
 def test_comparison(study: Path) -> None:

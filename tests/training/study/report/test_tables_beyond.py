@@ -7,10 +7,9 @@ from typing import Any
 
 import numpy as np
 
-from tests.support.small_study import find, nominal, write_run
+from tests.support.small_study import find, nominal, shown, write_run
 from training.measure.statistics import Sweep, halving
-from training.study.report.cells import Table
-from training.study.report.engine_differences import differences
+from training.study.report.engine_differences import differences, tasks
 from training.study.report.records import load_study
 from training.study.report.tables import (
     comparison,
@@ -20,14 +19,7 @@ from training.study.report.tables_beyond import (
     own_ablation,
     presets,
     raised,
-    tasks,
 )
-
-
-def shown(table: Table, *names: str) -> list[tuple[Any, ...]]:
-    """Some columns of the rows that something was run for."""
-    places = [table.head.index(name) for name in names]
-    return [tuple(row[i] for i in places) for row in table.rows if row[table.head.index("seeds")]]
 
 
 def test_what_is_put_back_to_the_papers_stands_beside_the_preset_and_is_no_variant(
