@@ -49,9 +49,10 @@ class Diverged(CdcsrError, FloatingPointError):
         )
 
 
-def unknown_choice(kind: str, found: str, allowed: Iterable[str]) -> str:
+def unknown_choice(kind: str, found: object, allowed: Iterable[str]) -> str:
     """Return the message for a name that is not allowed; it suggests the most similar one."""
     names = sorted(allowed)
-    close = difflib.get_close_matches(found, names, n=1)
+    close = difflib.get_close_matches(str(found)[:100], names, n=1)
     hint = f" Did you mean {close[0]!r}?" if close else ""
-    return f"Unknown {kind} {found!r}.{hint} Available: {', '.join(names) or 'none'}."
+    shown = repr(found) if len(repr(found)) < 100 else f"{repr(found)[:100]}..."
+    return f"Unknown {kind} {shown}.{hint} Available: {', '.join(names) or 'none'}."

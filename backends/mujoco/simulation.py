@@ -199,6 +199,7 @@ class MujocoSimulation(Simulation):
         return Dynamics(mass, bias, passive, tip, cables, velocity, length)
 
     def render(self, index: int = 0, camera: str = "side") -> NDArray[np.uint8]:
+        self._check_index(index)
         azimuth, elevation = camera_angles(camera)
         renderer = self._renderer
         if renderer is None:

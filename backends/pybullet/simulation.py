@@ -151,6 +151,7 @@ class PybulletSimulation(Simulation):
         return Plant(*(rows[chosen] for rows in self.plant))
 
     def render(self, index: int = 0, camera: str = "side") -> NDArray[np.uint8]:
+        self._check_index(index)
         return self._renderer.draw(self._world.position[index], camera)
 
     def close(self) -> None:

@@ -17,6 +17,7 @@ from cdcsr.envs.options import EnvOptions, read_reset_options
 from cdcsr.envs.rng_state import pack_generator, unpack_generator
 from cdcsr.errors import CdcsrError
 from cdcsr.robot.description import Robot, load_robot
+from cdcsr.simulation.arguments import MOST_COPIES, as_floats, check_count
 from cdcsr.simulation.contract import Snapshot, State
 from cdcsr.simulation.engines import make_simulation
 from cdcsr.simulation.randomization import Randomization
@@ -31,6 +32,8 @@ Mask = NDArray[np.bool_]
 Info = dict[str, Any]
 """Gymnasium's type of infos, options and metadata."""
 
+_MOST_SEED = 2**63 - 1
+_MOST_SKIP = 10_000_000
 _SNAPSHOT = ("time", "position", "velocity", "private")
 """The arrays of a snapshot that are always there."""
 
@@ -79,12 +82,14 @@ class TaskVectorEnv(VectorEnv[Array, Array, NDArray[np.generic]]):
         motion: MotionName | None = None,
         quiet: bool | None = None,
     ) -> None:
+        check_count("num_envs", num_envs, MOST_COPIES)
         mode = AutoresetMode(autoreset_mode)
         if mode is AutoresetMode.NEXT_STEP:
             raise CdcsrError(
                 "autoreset_mode must be SAME_STEP or DISABLED; NEXT_STEP would waste a step."
             )
         self.robot = robot if isinstance(robot, Robot) else load_robot(robot)
+        check_count("frame_skip", frame_skip, _MOST_SKIP)
         self.backend, self.frame_skip = backend, frame_skip
         self.task = make_task(
             task,
@@ -95,6 +100,11 @@ class TaskVectorEnv(VectorEnv[Array, Array, NDArray[np.generic]]):
             quiet=quiet,
             period=self.robot.time_step * frame_skip,
         )
+        if randomization is not None and len(randomization.drawn["command_delay"]) != num_envs:
+            raise CdcsrError(
+                f"The randomization is of {len(randomization.drawn['command_delay'])} copies; "
+                f"there are {num_envs} environments."
+            )
         self.max_actions = actions_per_episode(self.task.max_steps, frame_skip)
         self._episodes = Episodes(num_envs, self.task, make_space(space, self.robot, centers))
         self.simulation = make_simulation(self.robot, backend, num_envs)
@@ -108,6 +118,7 @@ class TaskVectorEnv(VectorEnv[Array, Array, NDArray[np.generic]]):
         """Set what Gymnasium asks of every vector environment."""
         self.num_envs = num_envs
         self._eta = np.array([servo.eta for servo in self.robot.servos])
+        self._shape = (num_envs, self.robot.num_cables)
         self.single_observation_space = gym.spaces.Box(
             -np.inf, np.inf, (observation_size(self.robot),), np.float64
         )
@@ -154,13 +165,15 @@ class TaskVectorEnv(VectorEnv[Array, Array, NDArray[np.generic]]):
         Raises:
             CdcsrError: an unknown option, or one of the wrong shape; a negative seed.
         """
-        if seed is not None and seed < 0:
-            raise CdcsrError(f"seed must not be negative, found {seed}.")
+        if seed is not None:
+            check_count("seed", seed, _MOST_SEED, least=0)
         super().reset(seed=seed)
         if seed is not None:
             self._channel = Channel(self._disturbances, self.np_random)
         given = read_reset_options(options, targets=(self.num_envs, 3), reset_mask=(self.num_envs,))
         fresh = given.get("reset_mask", np.ones(self.num_envs)).astype(np.bool_)
+        if not self._begun and not fresh.all():
+            raise CdcsrError("The first reset begins all episodes; leave reset_mask out.")
         observation = self._begin(fresh, given.get("targets"))
         state = self.simulation.state()
         distance, verdict = self._episodes.judge(state, count=False)
@@ -176,9 +189,12 @@ class TaskVectorEnv(VectorEnv[Array, Array, NDArray[np.generic]]):
             Observation, reward, terminated, truncated and info; their first axis is the robot.
 
         Raises:
+            CdcsrError: no episode has begun, or actions have another shape or are not finite.
             Diverged: a copy left the range in which its numbers mean anything.
         """
-        command = self._channel.command(np.asarray(actions, dtype=np.float64))
+        if not self._begun:
+            raise CdcsrError("Call reset() before the first step().")
+        command = self._channel.command(as_floats("actions", actions, self._shape))
         command = np.minimum(np.maximum(command, -self._eta), 0)  # three times as fast as np.clip
         self.simulation.step(command, self.frame_skip)
         self._episodes.advance(self.frame_skip, self.robot.time_step)
@@ -297,7 +313,8 @@ class TaskEnv(gym.Env[Array, Array]):
 
     def step(self, action: Array) -> tuple[Array, float, bool, bool, Info]:
         """Advance the robot by one action, shape (C,); see :meth:`TaskVectorEnv.step`."""
-        observation, reward, terminated, truncated, info = self.batch.step(np.asarray(action)[None])
+        row = as_floats("action", action, self.action_space.shape or ())[None]
+        observation, reward, terminated, truncated, info = self.batch.step(row)
         return (
             observation[0],
             float(reward[0]),

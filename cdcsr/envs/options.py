@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from cdcsr.envs.disturbances import Disturbances
 from cdcsr.errors import CdcsrError, unknown_choice
 from cdcsr.robot.description import Robot
+from cdcsr.simulation.arguments import as_floats
 from cdcsr.simulation.randomization import Randomization
 from cdcsr.tasks.target_motion import MotionName
 from cdcsr.tasks.task import Reward, Task
@@ -65,15 +66,15 @@ def read_reset_options(
         shapes: the shape of each option that there is.
 
     Raises:
-        CdcsrError: an option is unknown or has the wrong shape.
+        CdcsrError: an option is unknown, has the wrong shape or is not finite.
     """
     arrays: dict[str, Array] = {}
     for name, value in (options or {}).items():
         if name not in shapes:
             raise CdcsrError(unknown_choice("reset option", name, shapes))
-        arrays[name] = np.asarray(value, dtype=np.float64)
-        if arrays[name].shape != shapes[name]:
-            raise CdcsrError(
-                f"The reset option {name!r} has the shape {shapes[name]}, not {arrays[name].shape}."
-            )
+        arrays[name] = as_floats(
+            f"The reset option {name!r}", value, shapes[name], kinds="b" * (name == "reset_mask")
+        )
+    if not np.isin(arrays.get("reset_mask", 1), (0, 1)).all():
+        raise CdcsrError("The reset option 'reset_mask' holds only True and False, or 1 and 0.")
     return arrays

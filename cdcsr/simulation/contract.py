@@ -18,12 +18,20 @@ from pydantic import BaseModel, ConfigDict
 
 from cdcsr.errors import CdcsrError, Diverged, unknown_choice
 from cdcsr.robot.description import Robot
+from cdcsr.simulation.arguments import (
+    MOST_COPIES,
+    as_command,
+    as_floats,
+    check_count,
+    chosen_copies,
+)
 from cdcsr.simulation.delay_line import DelayLine
 from cdcsr.simulation.plant import Parameters, Plant
 
 Array = NDArray[np.float64]
-Ids = Sequence[int] | NDArray[np.integer] | None
-"""Which copies: sorted unique indices, or None for all copies."""
+Ids = Sequence[int] | NDArray[np.integer] | NDArray[np.bool_] | None
+"""Which copies: sorted unique indices, a mask of shape (num,), or None for all copies."""
+_MOST_SUBSTEPS = 1_000_000_000
 
 Capability = Literal["render", "bit_exact", "soft_cables"]
 """An ability that only some engines have. render: it has its own camera. bit_exact: the same
@@ -137,8 +145,7 @@ class Simulation(ABC):
     """The class of the options, each with its default, its bounds and a docstring."""
 
     def __init__(self, robot: Robot, num: int = 1, options: EngineOptions | None = None) -> None:
-        if num < 1:
-            raise CdcsrError(f"A simulation needs at least one copy, not {num}.")
+        check_count("The number of copies", num, MOST_COPIES)
         self.robot = robot
         self.num = num
         self.options = options or self.options_type()
@@ -203,20 +210,12 @@ class Simulation(ABC):
         """Advance all copies by `substeps` time steps under one command.
 
         Raises:
-            CdcsrError: the command has not the shape (num, C), or a number in it is not finite.
+            CdcsrError: the command has not the shape (num, C), or a number in it is not finite or
+                too large for an engine.
             Diverged: a copy left the range in which its numbers mean anything.
         """
-        command = np.ascontiguousarray(command, dtype=float)
-        expected = self.plant.servo_gain.shape
-        if command.shape != expected:
-            raise CdcsrError(
-                f"Commands have the shape (num, cables) = {expected}, not {command.shape}."
-            )
-        if not np.isfinite(command).all():  # an engine may read NaN as "no command"
-            copy = int(np.flatnonzero(~np.isfinite(command).all(axis=1))[0])
-            raise CdcsrError(
-                f"Commands must be finite; that of copy {copy} is {command[copy].tolist()}."
-            )
+        command = as_command(command, self.plant.servo_gain.shape)
+        check_count("substeps", substeps, _MOST_SUBSTEPS)
         if self._line.idle:
             self._step(command, substeps)
             return
@@ -253,9 +252,15 @@ class Simulation(ABC):
             raise CdcsrError(
                 f"The snapshot holds {len(snapshot.time)} copies; this simulation has {self.num}."
             )
+        size = self.robot.num_coordinates
+        as_floats("The snapshot's position", snapshot.position, (self.num, size + 1), finite=False)
+        as_floats("The snapshot's velocity", snapshot.velocity, (self.num, size), finite=False)
         none = np.zeros((self.num, 0, self.robot.num_cables))
         self._line.sent = none if snapshot.commands is None else snapshot.commands
-        self._set_snapshot(snapshot)
+        try:
+            self._set_snapshot(snapshot)
+        except ValueError as error:
+            raise CdcsrError(f"The snapshot does not fit the engine: {error}.") from None
 
     @abstractmethod
     def dynamics(self, ids: Ids = None) -> Dynamics:
@@ -277,7 +282,7 @@ class Simulation(ABC):
             camera: a name in :data:`CAMERAS`.
 
         Raises:
-            CdcsrError: there is no such camera, or the engine cannot draw here.
+            CdcsrError: there is no such copy or camera, or the engine cannot draw here.
         """
 
     @abstractmethod
@@ -309,9 +314,11 @@ class Simulation(ABC):
         """Set the commands under way to copies that are back at the start to zero."""
         self._line.fill(ids, np.zeros((len(ids), self.robot.num_cables)))
 
+    def _check_index(self, index: int) -> None:
+        check_count("The index of a copy", index, self.num - 1, least=0)
+
     def _chosen(self, ids: Ids) -> NDArray[np.int64]:
-        every = np.arange(self.num)
-        return every if ids is None else every[np.asarray(ids, dtype=np.int64)]
+        return chosen_copies(ids, self.num)
 
 
 CAMERAS: dict[str, tuple[float, float]] = {

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cdcsr.errors import CdcsrError, unknown_choice
+from cdcsr.simulation.arguments import check_count
 from cdcsr.simulation.contract import State
 from cdcsr.tasks.observation import BASE_POSITION, BASE_QUATERNION, DISTANCE, TIP_VELOCITY
 from cdcsr.tasks.target_motion import MotionName
@@ -176,8 +177,5 @@ def actions_per_episode(max_steps: int, frame_skip: int) -> int:
     Raises:
         CdcsrError: frame_skip is below 1 or above max_steps.
     """
-    if not 1 <= frame_skip <= max_steps:
-        raise CdcsrError(
-            f"frame_skip must be between 1 and max_steps ({max_steps}), not {frame_skip}."
-        )
+    check_count("frame_skip", frame_skip, max_steps)
     return max_steps // frame_skip

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from cdcsr.errors import CdcsrError, unknown_choice
 from cdcsr.robot.description import Robot
+from cdcsr.simulation.arguments import as_floats
 from cdcsr.tasks.workspace_map import load_workspace
 
 Array = NDArray[np.float64]
@@ -139,4 +140,4 @@ def make_space(name: str, robot: Robot, centers: Array | None = None) -> Space:
         raise CdcsrError(unknown_choice("space", name, (*SPACES, WORKSPACE)))
     if centers is None:
         centers = demonstration_targets(robot)
-    return Balls(name, np.asarray(centers, dtype=float), RADIUS[name])
+    return Balls(name, as_floats("centers", centers, (-1, 3)), RADIUS[name])

@@ -5,6 +5,7 @@ A task holds no state. What it has to count during an episode is handed to it as
 
 from __future__ import annotations
 
+import math
 from abc import ABC, abstractmethod
 from dataclasses import dataclass
 from typing import ClassVar, Literal, NamedTuple, get_args
@@ -13,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cdcsr.errors import CdcsrError
+from cdcsr.simulation.arguments import check_count
 from cdcsr.simulation.contract import State
 from cdcsr.tasks.observation import DISTANCE
 from cdcsr.tasks.target_motion import MotionName, make_motion
@@ -22,6 +24,7 @@ Mask = NDArray[np.bool_]
 Counts = dict[str, NDArray[np.int64]]
 """The counts that a task keeps of an episode, by name; shape (num,), all zero at its beginning."""
 Reward = Literal["sparse", "dense"]
+_MOST_STEPS = 10_000_000
 BASE_SHIFT, BASE_TILT = 0.003, 0.05
 """The largest distance of a quiet base from its start, in [m] and [rad]. The paper reports these
 values for its Fig. 6."""
@@ -70,8 +73,9 @@ class Task(ABC):
     def __post_init__(self) -> None:
         if self.reward_kind not in get_args(Reward):
             raise CdcsrError(f"reward must be 'sparse' or 'dense', not {self.reward_kind!r}.")
-        if not self.threshold > 0:
-            raise CdcsrError(f"threshold must be positive, not {self.threshold:g}.")
+        if not 0 < self.threshold < math.inf:
+            raise CdcsrError(f"threshold must be positive and finite, not {self.threshold:g}.")
+        check_count("max_steps", self.max_steps, _MOST_STEPS)
         make_motion(self.motion)
 
     @property

@@ -313,13 +313,13 @@ def test_the_seed_determines_the_disturbances_too() -> None:
         ({"space": "anker"}, "Unknown space 'anker'."),
         ({"robot": "papre"}, "Unknown robot 'papre'. Did you mean 'paper'?"),
         ({"reward": "shaped"}, "reward must be 'sparse' or 'dense', not 'shaped'."),
-        ({"frame_skip": 0}, r"frame_skip must be between 1 and max_steps \(250\), not 0."),
+        ({"frame_skip": 0}, r"frame_skip must be a whole number from 1 to 250, not 0."),
         (
             {"frame_skip": 9, "max_steps": 8},
-            r"frame_skip must be between 1 and max_steps \(8\), not 9.",
+            r"frame_skip must be a whole number from 1 to 8, not 9.",
         ),
         ({"autoreset_mode": "NextStep"}, "SAME_STEP or DISABLED; NEXT_STEP would waste a step."),
-        ({"num_envs": 0}, "at least one copy, not 0"),
+        ({"num_envs": 0}, "num_envs must be a whole number from 1 to 100000, not 0"),
     ],
 )
 def test_wrong_arguments_are_errors(kwargs: Info, message: str) -> None:
@@ -330,9 +330,9 @@ def test_wrong_arguments_are_errors(kwargs: Info, message: str) -> None:
 def test_wrong_reset_options_are_errors(vector: VectorEnv) -> None:
     with pytest.raises(CdcsrError, match=r"Unknown reset option 'target'\. Did you mean 'targets'"):
         vector.reset(options={"target": np.array(TIP)})
-    with pytest.raises(CdcsrError, match=r"'targets' has the shape \(5, 3\), not \(3,\)"):
+    with pytest.raises(CdcsrError, match=r"'targets' must have the shape \(5, 3\), not \(3,\)"):
         vector.reset(options={"targets": TIP})
-    with pytest.raises(CdcsrError, match=r"'reset_mask' has the shape \(5,\), not \(2,\)"):
+    with pytest.raises(CdcsrError, match=r"'reset_mask' must have the shape \(5,\), not \(2,\)"):
         vector.reset(options={"reset_mask": [True, False]})
     one = gymnasium.make("cdcsr/Reach-v0")
     with pytest.raises(CdcsrError, match=r"Unknown reset option 'targets'\. Did you mean 'target'"):

@@ -80,7 +80,7 @@ def test_every_named_task_is_found_by_its_name() -> None:
     [
         ("captur", {}, r"Unknown task 'captur'\. Did you mean 'capture'\?"),
         ("capture", {"motion": "spin"}, r"Unknown motion 'spin'"),
-        ("reach", {"threshold": 0.0}, "threshold must be positive, not 0"),
+        ("reach", {"threshold": 0.0}, "threshold must be positive and finite, not 0"),
     ],
 )
 def test_wrong_tasks_are_errors(name: str, changes: dict[str, object], message: str) -> None:

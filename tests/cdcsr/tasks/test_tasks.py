@@ -132,7 +132,7 @@ def test_dense_reward_is_the_negative_distance_plus_1_on_success() -> None:
 def test_how_many_actions_fit_into_an_episode() -> None:
     assert [actions_per_episode(250, skip) for skip in (1, 3, 125, 126, 250)] == [250, 83, 2, 1, 1]
     for skip in (0, 251):
-        with pytest.raises(CdcsrError, match=rf"between 1 and max_steps \(250\), not {skip}"):
+        with pytest.raises(CdcsrError, match=rf"whole number from 1 to 250, not {skip}"):
             actions_per_episode(250, skip)
 
 
