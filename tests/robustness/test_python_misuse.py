@@ -39,7 +39,7 @@ def bad_arrays(shape: tuple[int, ...]) -> Iterator[object]:
         if other != shape:
             yield np.zeros(other)
     if len(shape) > 1:
-        yield from (np.zeros((1, shape[1])), np.zeros((shape[0], 1)), good.T)
+        yield from (np.zeros((1, shape[1])), np.zeros((shape[0], 1)))
     for dtype in (complex, str, object, bool):
         yield good.astype(dtype)
     for bad in (np.nan, np.inf, -np.inf):

@@ -105,7 +105,7 @@ def test_no_episodes_is_an_error() -> None:
     robot = load_robot("paper")
     with pytest.raises(CdcsrError, match="episodes must be at least 1"):
         evaluate(Still(), robot, "mujoco", "anchor", episodes=0)
-    with pytest.raises(CdcsrError, match="seed must not be negative"):
+    with pytest.raises(CdcsrError, match="seed must be a whole number from 0"):
         evaluate(Still(), robot, "mujoco", "anchor", episodes=1, seed=-1)
 
 
@@ -230,7 +230,7 @@ def test_transfer_is_at_the_task_of_the_policies(
         (["sweep", "jacobian", "--task", "captur"], "Did you mean 'capture'?"),
         (["sweep", "jacobian", "--axis", "link_mas"], "Did you mean 'link_mass'?"),
         (["evaluate", "jacobian", "--packet-loss", "2"], "packet_loss must lie in [0, 1]"),
-        (["evaluate", "jacobian", "--seed", "-1"], "seed must not be negative"),
+        (["evaluate", "jacobian", "--seed", "-1"], "seed must be a whole number from 0"),
         (["transfer", "jacobian", "--robot-less", "x"], "robot-less"),
     ],
 )
