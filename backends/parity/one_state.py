@@ -44,20 +44,13 @@ def random_states(robot: Robot, num: int, seed: int) -> Snapshot:
 
 def one_state(robot: Robot, engines: Engines, num: int = 16, seed: int = 0) -> list[Check]:
     """Compare every engine's equation of motion with the reference's, and every engine's cables
-    with the closed form.
-
-    If an engine steps with another evaluation of the equation than it reports, both are compared;
-    the one that steps is called "<engine> step".
-    """
+    with the closed form."""
     states = random_states(robot, num, seed)
     found: dict[str, Dynamics] = {}
     for name, make in engines.items():
         simulation = make(robot, num)
         simulation.set_snapshot(states)
         found[name] = simulation.dynamics()
-        own = simulation.step_dynamics()
-        if own is not None:
-            found[f"{name} step"] = own
         simulation.close()
     reference = reference_of(engines)
     checks = []

@@ -1,17 +1,22 @@
 """Level 3: the same commands without feedback, while the time step is halved again and again.
 
-All engines integrate one set of equations, so as the step shrinks they must converge to one motion.
-At a given step the distance from this limit is the engine's own discretization error. By substeps,
-commands are held for the same time at every step size. The recovery time of the constraints shrinks
-with the step: it says how fast an engine takes back what a step let through, so it is a part of the
-discretization, and the limit is the ideal cable, which is never longer than at rest. A fixed
-recovery time would be a property of the material. MuJoCo would read it as a critically damped
-spring, and a complementarity problem as a rate, and each engine would converge to its own cable.
+An engine converges to one motion as the step shrinks. At a given step the distance from this limit
+is its own discretization error. Engines that integrate the description's ideal equation have one
+limit in common. Others have limits of their own, and the distance between the limits is what their
+physics differs by; one of their settings after the other is set to the description's, which shows
+how much each accounts for.
+
+By substeps, commands are held for the same time at every step size. The recovery time of the
+constraints shrinks with the step: it says how fast an engine takes back what a step let through, so
+it is a part of the discretization, and the limit is the ideal cable, which is never longer than at
+rest. A fixed recovery time would be a property of the material. MuJoCo would read it as a
+critically damped spring, and a complementarity problem as a rate, and each engine would converge to
+its own cable.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -22,19 +27,17 @@ from cdcsr.robot.description import Robot
 from cdcsr.simulation.contract import Array, Simulation
 
 REFINEMENTS = (1, 2, 4, 8)
-"""Into how many parts the time step is divided, one refinement after the other."""
-FINE = (16, 32)
-"""Into how many parts it is divided in the two runs of the reference engine from which the limit is
-extrapolated."""
-DISTANCE = 1e-3
+"""Into how many parts the time step is divided, one refinement after the other. The limit is
+extrapolated from the last two."""
+DISTANCE = 2e-3
 """The largest allowed mean distance of the tips over demonstrator episodes at the default time
-step, in [m]."""
+step, as a part of the arm's length."""
 ORDER = 0.8
 """Errors must shrink with at least this power of the time step. Semi-implicit Euler is of first
-order; the order of an engine that converges to another limit falls to zero."""
-APART = 0.5
-"""The largest allowed distance between engines at the finest step, as a part of the reference's own
-error there: engines that converge to one limit come nearer to each other than either is to it."""
+order; the order of an engine that converges to nothing falls to zero."""
+APART = 0.1
+"""The largest allowed distance between the limits of ideal engines, as a part of the larger error
+at the default time step."""
 DISTURBANCE = 1e-6
 """The standard deviation of the noise on the commands of the disturbed run, as a part of their
 range."""
@@ -53,10 +56,14 @@ class OpenLoop:
     """In [s], shape (T,)."""
     tips: dict[str, Array]
     """The positions by engine, the reference first, shape (R, T, N, 3)."""
-    limit: Array
-    """The position to which the reference engine's tip converges, shape (T, N, 3)."""
     noise: Array
     """How far slightly disturbed commands move the reference engine's tip, shape (T, N)."""
+    ideal: frozenset[str]
+    """The engines that integrate the description's ideal equation."""
+    switches: dict[str, Array]
+    """How far the tip moves at the default time step when one setting of an engine is set to the
+    description's, by the engine's name with this option, shape (T, N)."""
+    arm_length: float
 
     @property
     def reference(self) -> str:
@@ -66,22 +73,33 @@ class OpenLoop:
     @property
     def noise_floor(self) -> float:
         """The mean of `noise` over each episode and then over episodes."""
-        return float(np.nanmean(self.noise, axis=0).mean())
+        return float(_mean(self.noise))
+
+    def limit(self, engine: str) -> Array:
+        """Return the position to which the tip converges, to second order, shape (T, N, 3)."""
+        return 2 * self.tips[engine][-1] - self.tips[engine][-2]
 
     def errors(self, engine: str) -> Array:
-        """Return the distances from the limit, means over each episode and then over episodes,
-        shape (R,)."""
-        distance = np.linalg.norm(self.tips[engine] - self.limit, axis=-1)
-        return np.nanmean(distance, axis=1).mean(axis=1)
+        """Return the distances from the engine's own limit, means over each episode and then over
+        episodes, shape (R,)."""
+        return _mean(np.linalg.norm(self.tips[engine] - self.limit(engine), axis=-1))
+
+    def limit_distance(self, engine: str) -> float:
+        """Return the distance from the reference's limit to an engine's, a mean as in
+        :meth:`errors`."""
+        apart = self.limit(engine) - self.limit(self.reference)
+        return float(_mean(np.linalg.norm(apart, axis=-1)))
 
     def order(self, engine: str) -> float:
-        """Return the power of the time step that fits the errors best."""
-        return float(np.polyfit(np.log(self.time_steps), np.log(self.errors(engine)), 1)[0])
+        """Return the power of the time step that fits best how far each refinement moves the
+        tip."""
+        moved = _mean(np.linalg.norm(np.diff(self.tips[engine], axis=0), axis=-1))
+        return float(np.polyfit(np.log(self.time_steps[:-1]), np.log(moved), 1)[0])
 
     def mean_distance(self, engine: str) -> Array:
         """Return the distances between the tips of an engine and of the reference, means as in
         :meth:`errors`, shape (R,)."""
-        return np.nanmean(self.distance(engine), axis=1).mean(axis=1)
+        return _mean(self.distance(engine))
 
     def distance(self, engine: str) -> Array:
         """Return the distances between the tips of an engine and of the reference, shape (R, T,
@@ -89,19 +107,22 @@ class OpenLoop:
         return np.linalg.norm(self.tips[engine] - self.tips[self.reference], axis=-1)
 
     def checks(self) -> list[Check]:
-        """Check the order, that the engines have one limit, and along the demonstrator how far they
-        are apart at the default time step."""
+        """Check the order of every engine, and of ideal engines that they have one limit, and along
+        the demonstrator how far they are apart at the default time step."""
         checks = []
         for engine, place in ((name, f"{name}, {self.commands}") for name in self.tips):
             order = self.order(engine)
             checks.append(Check(3, "order", place, order, ORDER, "", at_least=True))
-        own = self.errors(self.reference)[-1]
-        for engine in list(self.tips)[1:]:
-            pair, mean = f"{engine} - {self.reference}, {self.commands}", self.mean_distance(engine)
+        for engine in [
+            name for name in list(self.tips)[1:] if {name, self.reference} <= self.ideal
+        ]:
+            pair = f"{engine} - {self.reference}, {self.commands}"
             if self.commands == DEMONSTRATOR:
-                checks.append(Check(3, "mean tip distance", pair, float(mean[0]), DISTANCE, "m"))
-            finest = "tip distance over own error at the finest step"
-            checks.append(Check(3, finest, pair, float(mean[-1] / own), APART, "relative"))
+                mean, most = float(self.mean_distance(engine)[0]), DISTANCE * self.arm_length
+                checks.append(Check(3, "mean tip distance", pair, mean, most, "m"))
+            error = max(self.errors(name)[0] for name in (engine, self.reference))
+            apart = self.limit_distance(engine) / error
+            checks.append(Check(3, "limits apart", pair, float(apart), APART, "of the error"))
         return checks
 
     def as_dict(self) -> dict[str, object]:
@@ -110,17 +131,20 @@ class OpenLoop:
             "commands": self.commands,
             "episodes": self.noise.shape[1],
             "time_steps": self.time_steps.tolist(),
-            "limit_extrapolated_from_time_steps": [
-                float(self.time_steps[0] / parts) for parts in FINE
-            ],
             "errors": {engine: self.errors(engine).tolist() for engine in self.tips},
             "order": {engine: self.order(engine) for engine in self.tips},
             "tip_distance": {
                 engine: {
                     "mean": self.mean_distance(engine).tolist(),
                     "max": np.nanmax(self.distance(engine), axis=(1, 2)).tolist(),
+                    "limits": self.limit_distance(engine),
                 }
                 for engine in list(self.tips)[1:]
+            },
+            "ideal": sorted(self.ideal),
+            "switches": {
+                name: {"mean": float(_mean(moved)), "max": float(np.nanmax(moved))}
+                for name, moved in self.switches.items()
             },
             "noise_floor": {
                 "disturbance": DISTURBANCE,
@@ -143,6 +167,7 @@ def open_loop(
     engines: Engines,
     commands: Commands,
     progress: Callable[[int], object] | None = None,
+    switches: Mapping[str, Engines] | None = None,
 ) -> OpenLoop:
     """Run all engines under the same commands at every refinement.
 
@@ -151,8 +176,8 @@ def open_loop(
         engines: the engines, the reference first.
         commands: one for each default time step.
         progress: called with the number of simulation steps just made.
+        switches: by engine, the same engine with one setting set to the description's.
     """
-    reference = engines[reference_of(engines)]
 
     def run(
         make: Callable[[Robot, int], Simulation], parts: int, values: Array = commands.values
@@ -167,16 +192,37 @@ def open_loop(
         simulation.close()
         return np.where(commands.active[..., None], np.array(tips), np.nan)
 
+    first = reference_of(engines)
     tips = {
         name: np.stack([run(make, parts) for parts in REFINEMENTS])
         for name, make in engines.items()
     }
     eta = np.array([servo.eta for servo in robot.servos])
     disturbance = DISTURBANCE * eta * np.random.default_rng(0).normal(size=commands.values.shape)
-    noise = np.linalg.norm(
-        run(reference, 1, commands.values + disturbance) - tips[reference_of(engines)][0], axis=-1
+    disturbed = run(engines[first], 1, commands.values + disturbance)
+    moved = {
+        name: np.linalg.norm(run(make, 1) - tips[engine][0], axis=-1)
+        for engine, others in (switches or {}).items()
+        for name, make in others.items()
+    }
+    return OpenLoop(
+        commands=commands.name,
+        time_steps=robot.time_step / np.array(REFINEMENTS),
+        time=robot.time_step * np.arange(1, commands.values.shape[1] + 1),
+        tips=tips,
+        noise=np.linalg.norm(disturbed - tips[first][0], axis=-1),
+        ideal=frozenset(name for name, make in engines.items() if _is_ideal(make(robot, 1))),
+        switches=moved,
+        arm_length=robot.arm_length,
     )
-    coarse, fine = (run(reference, parts) for parts in FINE)
-    steps = robot.time_step / np.array(REFINEMENTS)
-    time = robot.time_step * np.arange(1, commands.values.shape[1] + 1)
-    return OpenLoop(commands.name, steps, time, tips, 2 * fine - coarse, noise)
+
+
+def _is_ideal(simulation: Simulation) -> bool:
+    simulation.close()
+    return simulation.ideal
+
+
+def _mean(values: Array) -> Array:
+    """Average over an episode, and then over episodes; both are the last axes, and what lies after
+    an episode's end is NaN."""
+    return np.nanmean(values, axis=-2).mean(axis=-1)

@@ -66,9 +66,9 @@ def _one_step(figure: Figure, parity: Parity) -> None:
 
 
 def _convergence(figure: Figure, parity: Parity) -> None:
-    """Draw the distance from the common limit against the time step, a panel for each kind of
-    commands."""
-    title = f"{parity.robot.name}: distance from the common limit as the time step shrinks"
+    """Draw how far each engine is from its limit against the time step, a panel for each kind
+    of commands."""
+    title = f"{parity.robot.name}: distance from its limit as the time step shrinks"
     figure.suptitle(title, fontsize=11)
     panels = _panels(figure, parity.open_loop)
     for axes, part in zip(panels, parity.open_loop, strict=True):
@@ -85,7 +85,7 @@ def _convergence(figure: Figure, parity: Parity) -> None:
                 markersize=size,
                 markerfacecolor=face,
                 linewidth=2.4 if i == 0 else 1.2,
-                label=f"{engine} from the limit",
+                label=f"{engine} from its limit",
             )
         for i, engine in enumerate(list(part.tips)[1:], start=1):
             apart = 1e3 * np.maximum(part.mean_distance(engine), _SMALLEST)
@@ -125,7 +125,7 @@ def _open_loop(figure: Figure, parity: Parity) -> None:
         _band(axes, part, part.noise, SOFT, f"{part.reference}, commands off by 1e-6 (noise floor)")
         if part.commands == DEMONSTRATOR:
             axes.axhline(
-                1e3 * DISTANCE,
+                1e3 * DISTANCE * part.arm_length,
                 color=_RED,
                 linestyle="--",
                 linewidth=1.2,

@@ -2,15 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 
+import numpy as np
 from tqdm import tqdm
 
 from backends.parity.checks import Check, Engines
 from backends.parity.one_state import one_state
 from backends.parity.one_step import OneStep, one_step
-from backends.parity.open_loop import FINE, REFINEMENTS, OpenLoop, open_loop
+from backends.parity.open_loop import REFINEMENTS, OpenLoop, open_loop
 from backends.parity.trajectories import Commands
 from cdcsr.robot.description import Robot
 
@@ -54,7 +55,12 @@ class Parity:
 
 
 def measure(
-    robot: Robot, engines: Engines, runs: Sequence[Commands], seed: int, progress: bool = False
+    robot: Robot,
+    engines: Engines,
+    runs: Sequence[Commands],
+    seed: int,
+    progress: bool = False,
+    switches: Mapping[str, Engines] | None = None,
 ) -> Parity:
     """Run all three levels.
 
@@ -64,18 +70,20 @@ def measure(
         runs: the commands for levels 2 and 3.
         seed: draws the states of level 1.
         progress: whether to show a bar on the standard error.
+        switches: by engine, the same engine with one setting set to the description's.
     """
     states = one_state(robot, engines, seed=seed)
     steps: list[OneStep] = []
     loops: list[OpenLoop] = []
-    total = sum(_work(run, engines) for run in runs)
+    variants = len(engines) * sum(REFINEMENTS) + sum(map(len, (switches or {}).values()))
+    total = sum(run.values.shape[0] * run.values.shape[1] * (2 + variants) for run in runs)
     with tqdm(total=total, unit="step", disable=not progress) as bar:
         for commands in runs:
             bar.set_description(f"one step, {commands.name}")
             steps += one_step(robot, engines, commands, bar.update)
         for commands in runs:
             bar.set_description(f"open loop, {commands.name}")
-            loops.append(open_loop(robot, engines, commands, bar.update))
+            loops.append(open_loop(robot, engines, commands, bar.update, switches))
     return Parity(robot, tuple(engines), states, steps, loops)
 
 
@@ -110,17 +118,22 @@ def _show_open_loop(part: OpenLoop) -> list[str]:
     episodes, engines = part.noise.shape[1], list(part.tips)
 
     def row(name: str, values: Iterable[float], digits: str) -> str:
-        return f"     {name:<32}" + "".join(f"{1e3 * value:>10.{digits}}" for value in values)
+        return f"     {name:<40}" + "".join(f"{1e3 * value:>10.{digits}}" for value in values)
 
     lines = [
         f"3  open loop: {episodes} episodes, {part.commands} commands, mean over time in [mm]",
         row("time step in [ms]", part.time_steps, "4g"),
     ]
     for engine in engines:
-        errors = row(f"{engine}, from the limit", part.errors(engine), "4f")
+        errors = row(f"{engine}, from its limit", part.errors(engine), "4f")
         lines.append(f"{errors}    order {part.order(engine):.2f}")
     for engine in engines[1:]:
         lines.append(row(f"{engine} - {part.reference}", part.mean_distance(engine), "5f"))
+    for engine in engines[1:]:
+        apart = [part.limit_distance(engine)]
+        lines.append(row(f"limit of {engine} - {part.reference}", apart, "4f"))
+    for name, moved in part.switches.items():
+        lines.append(row(f"{name} moves it by", [float(np.nanmean(moved))], "4f"))
     lines.append(row("noise floor (commands off 1e-6)", [part.noise_floor], "5f"))
     return lines + [_line(check) for check in part.checks() if not check.passed]
 
@@ -130,9 +143,3 @@ def _line(check: Check) -> str:
     place = f"  at {check.where}" if check.where and not check.passed else ""
     measured = f"{check.value:>9.1e} {check.unit:<9}({check.bound})"
     return f"{mark} {check.name:<26}{check.pair:<28}{measured}{place}"
-
-
-def _work(commands: Commands, engines: Engines) -> int:
-    """Return how many steps levels 2 and 3 make along some commands, all copies together."""
-    states = commands.values.shape[0] * commands.values.shape[1]
-    return states * (1 + len(engines) * sum(REFINEMENTS) + 1 + sum(FINE))

@@ -1,4 +1,4 @@
-"""Load a robot into PyBullet, without the damping, motors and limits that PyBullet adds."""
+"""Load a robot into PyBullet, and choose which of PyBullet's defaults act on it."""
 
 from __future__ import annotations
 
@@ -14,12 +14,16 @@ from cdcsr.robot.description import Robot
 from cdcsr.simulation.plant import Plant
 
 MAX_JOINT_SPEED = 1e9
-"""The clamp on joint speeds, in [m/s] or [rad/s]. PyBullet's own is 100; no speed that is not a
+"""Bullet clamps joint speeds, in [m/s] and [rad/s], at 100 by default. No speed that is not a
 failure comes near this one."""
 
 
-def connect(robot: Robot) -> int:
+def connect(robot: Robot, substeps: int = 1) -> int:
     """Open a physics client without gravity at the robot's time step; the caller disconnects it.
+
+    Args:
+        robot: the description.
+        substeps: how many steps of the client make one time step.
 
     Raises:
         CdcsrError: PyBullet has no free client left.
@@ -29,14 +33,16 @@ def connect(robot: Robot) -> int:
         raise CdcsrError(
             "PyBullet has no free physics client left; close() simulations that are not needed."
         )
-    pybullet.setTimeStep(robot.time_step, physicsClientId=client)
+    pybullet.setTimeStep(robot.time_step / substeps, physicsClientId=client)
     pybullet.setGravity(0, 0, 0, physicsClientId=client)
     return client
 
 
 def load_robot_body(robot: Robot, client: int) -> int:
-    """Load one copy, straight and at rest at the origin, with no damping, motors, limits or
-    contacts.
+    """Load one copy, straight and at rest at the origin.
+
+    It keeps Bullet's joint damping and its limits of the hinges. No other damping, no motors and no
+    contacts act on it.
 
     Args:
         robot: the description.
@@ -66,29 +72,30 @@ def load_robot_body(robot: Robot, client: int) -> int:
         raise CdcsrError(
             f"PyBullet read the joints of {robot.name} in another order than written: {found}."
         )
-    # These three belong to the whole body. PyBullet redirects any call that sets the speed limit to
-    # the base, so a joint's damping must not be set in the same call.
-    pybullet.changeDynamics(
-        body,
-        -1,
-        linearDamping=0.0,
-        angularDamping=0.0,
-        maxJointVelocity=MAX_JOINT_SPEED,
-        physicsClientId=client,
-    )
-    for joint in range(count):  # an inverted range removes PyBullet's own limit
+    damp_and_clamp(client, body, 0.0, MAX_JOINT_SPEED)
+    for slider in range(robot.num_cables):  # an inverted range: the description has no limit here
         pybullet.changeDynamics(
-            body,
-            joint,
-            jointDamping=0.0,
-            jointLowerLimit=1.0,
-            jointUpperLimit=-1.0,
-            physicsClientId=client,
+            body, slider, jointLowerLimit=1.0, jointUpperLimit=-1.0, physicsClientId=client
         )
     pybullet.setJointMotorControlArray(
         body, range(count), pybullet.VELOCITY_CONTROL, forces=[0.0] * count, physicsClientId=client
     )
     return body
+
+
+def damp_and_clamp(client: int, body: int, damping: float, max_joint_speed: float) -> None:
+    """Set Bullet's damping of all motion of a body in [1/s], and the largest speed of its joints in
+    [m/s] and [rad/s]."""
+    # These belong to the whole body. PyBullet redirects any call that sets the speed limit to the
+    # base, so a joint's damping must not be set in the same call.
+    pybullet.changeDynamics(
+        body,
+        -1,
+        linearDamping=damping,
+        angularDamping=damping,
+        maxJointVelocity=max_joint_speed,
+        physicsClientId=client,
+    )
 
 
 def set_masses(client: int, body: int, plant: Plant, row: int) -> None:
@@ -115,3 +122,9 @@ def set_masses(client: int, body: int, plant: Plant, row: int) -> None:
         pybullet.changeDynamics(
             body, index, mass=float(mass), localInertiaDiagonal=moments, physicsClientId=client
         )
+
+
+def set_damping(client: int, body: int, plant: Plant, row: int) -> None:
+    """Set Bullet's joint damping of a body to that in one row of `plant`."""
+    for joint, damping in enumerate(plant.damping[row].tolist()):
+        pybullet.changeDynamics(body, joint, jointDamping=damping, physicsClientId=client)

@@ -1,13 +1,17 @@
-"""The equation of motion out of PyBullet's own functions, in the declared coordinates.
+"""The equation of motion out of PyBullet's own functions.
 
-PyBullet's are [base angular, base linear, joints] in the base's frame, and neither the base's place
-nor its linear velocity enters. So the body that is asked stays at the origin, and the base's rows
-are turned here.
+PyBullet's coordinates are [base angular, base linear, sliders, hinges], the base's in the base's
+frame, and neither the base's place nor its linear velocity enters. So the bodies that are asked
+stay at the origin. They never move: PyBullet keeps the masses that a body had when it was first
+asked, so that a body that was given others must be loaded anew, and these are loaded for nothing
+else.
 """
 
 from __future__ import annotations
 
+import struct
 import weakref
+from collections.abc import Sequence
 
 import numpy as np
 import pybullet
@@ -17,14 +21,14 @@ from backends.pybullet.client import connect, load_robot_body, set_masses
 from cdcsr.robot.description import Robot
 from cdcsr.robot.routing import cable_jacobian, cable_lengths, routing
 from cdcsr.simulation.contract import Dynamics
-from cdcsr.simulation.plant import Parameters, Plant
+from cdcsr.simulation.plant import Plant
 from cdcsr.simulation.rotations import rotation_matrix
 
 Array = NDArray[np.float64]
 
-_MOST_BODIES = 64
-"""The largest number of bodies, each of 1 MB. Before there are more, the client is made anew,
-because PyBullet remembers bodies that were removed."""
+MOST_BODIES = 64
+"""The largest number of bodies, each of 1 MB, beyond those in use. Before there are more, all are
+loaded anew, because PyBullet remembers even bodies that were removed."""
 
 
 class Equation:
@@ -32,35 +36,84 @@ class Equation:
 
     def __init__(self, robot: Robot) -> None:
         self._robot = robot
+        self._client = connect(robot)
+        self._disconnect = weakref.finalize(self, pybullet.disconnect, self._client)
         self._bodies: dict[bytes, int] = {}
-        self._open()
+        self._row = struct.Struct(f"{robot.num_coordinates}d").pack
+        self._still = [0.0] * robot.num_coordinates
         self._route = routing(robot)
-        self._num_cables = robot.num_cables
         last_link, _ = robot.links[-1]
         self._tip_link = robot.num_cables + robot.num_hinges - 1
         # calculateJacobian takes a point in the link's own frame, not from its centre of mass.
         self._tip_place = [0.0, 0.0, last_link.length]
 
-    def __call__(self, position: Array, velocity: Array, plant: Plant | None = None) -> Dynamics:
-        """The equation at some states.
+    def bodies(self, plant: Plant) -> list[int]:
+        """Return the bodies with the masses in the rows of `plant`, for :meth:`terms`.
+
+        Bodies that an earlier call returned may be gone after this one.
+        """
+        masses = (plant.base_mass, plant.base_inertia, plant.link_mass, plant.link_inertia)
+        keys = [
+            b"".join(part[row].tobytes() for part in masses) for row in range(len(plant.base_mass))
+        ]
+        if len(self._bodies.keys() | keys) > MOST_BODIES + len(keys):
+            pybullet.resetSimulation(physicsClientId=self._client)
+            self._bodies.clear()
+        for row, key in enumerate(keys):
+            if key not in self._bodies:
+                self._bodies[key] = load_robot_body(self._robot, self._client)
+                set_masses(self._client, self._bodies[key], plant, row)
+        return [self._bodies[key] for key in keys]
+
+    def terms(
+        self,
+        body: int,
+        joints: Sequence[float],
+        turning: tuple[float, float, float],
+        rates: Sequence[float],
+    ) -> tuple[Array, Array]:
+        """Return mass matrix and bias force in PyBullet's coordinates.
+
+        Args:
+            body: from :meth:`bodies`.
+            joints: positions of sliders and hinges, C + 2 J numbers, in [m] and [rad].
+            turning: the base's angular velocity in the base's frame, in [rad/s].
+            rates: of sliders and hinges, C + 2 J numbers, in [m/s] and [rad/s].
+
+        Returns:
+            The mass matrix, shape (nv, nv), and the bias force, shape (nv,).
+        """
+        rows = pybullet.calculateMassMatrix(body, joints, physicsClientId=self._client)
+        force = pybullet.calculateInverseDynamics(
+            body,
+            [0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0, *joints],
+            [*turning, 0.0, 0.0, 0.0, *rates],
+            self._still,
+            physicsClientId=self._client,
+        )
+        # To pack the rows takes a third of the time that numpy.array does.
+        packed = b"".join([self._row(*row) for row in rows])
+        # Unlike everything else in PyBullet, the force has the base's linear part first.
+        bias = self._row(*force[3:6], *force[:3], *force[6:])
+        return np.frombuffer(packed).reshape(len(rows), -1), np.frombuffer(bias)
+
+    def dynamics(self, position: Array, velocity: Array, plant: Plant) -> Dynamics:
+        """Return the equation at n states, in the contract's coordinates.
 
         Args:
             position: as in a Snapshot, shape (n, 7 + C + 2 J).
             velocity: shape (n, nv).
-            plant: the numbers of n copies; None for those of the description.
+            plant: the numbers of n copies.
         """
-        if plant is None:
-            plant = Parameters().plant(self._robot, len(position))
-        rows = [
-            self._one(*state) for state in zip(self._chosen(plant), position, velocity, strict=True)
-        ]
+        cables = self._robot.num_cables
+        rows = map(self._one, self.bodies(plant), position, velocity)
         mass, bias, tip = (np.stack(part) for part in zip(*rows, strict=True))
         joints, rates = position[:, 7:], velocity[:, 6:]
         passive = np.zeros_like(velocity)
         passive[:, 6:] = -plant.damping * rates
-        passive[:, 6 + self._num_cables :] -= plant.stiffness * joints[:, self._num_cables :]
-        cable = np.zeros((len(position), self._num_cables, velocity.shape[1]))
-        travel, hinges = joints[:, : self._num_cables], joints[:, self._num_cables :]
+        passive[:, 6 + cables :] -= plant.stiffness * joints[:, cables:]
+        cable = np.zeros((len(position), cables, velocity.shape[1]))
+        travel, hinges = joints[:, :cables], joints[:, cables:]
         cable[..., 6:] = cable_jacobian(self._route, travel, hinges)
         length = cable_lengths(self._route, travel, hinges)
         return Dynamics(mass, bias, passive, tip, cable, velocity.copy(), length)
@@ -69,48 +122,16 @@ class Equation:
         """Release the client; closing twice does nothing."""
         self._disconnect()
 
-    def _open(self) -> None:
-        self._bodies.clear()
-        self._client = connect(self._robot)
-        self._disconnect = weakref.finalize(self, pybullet.disconnect, self._client)
-
-    def _chosen(self, plant: Plant) -> list[int]:
-        """The bodies with the masses in the rows of `plant`; one that was asked keeps its masses
-        for ever."""
-        masses = (plant.base_mass, plant.base_inertia, plant.link_mass, plant.link_inertia)
-        keys = [
-            b"".join(part[row].tobytes() for part in masses) for row in range(len(plant.base_mass))
-        ]
-        missing = set(keys) - self._bodies.keys()
-        if missing and len(self._bodies) + len(missing) > _MOST_BODIES:
-            self.close()
-            self._open()
-        for row, key in enumerate(keys):
-            if key not in self._bodies:
-                self._bodies[key] = load_robot_body(self._robot, self._client)
-                set_masses(self._client, self._bodies[key], plant, row)
-        return [self._bodies[key] for key in keys]
-
     def _one(self, body: int, position: Array, velocity: Array) -> tuple[Array, Array, Array]:
         """Mass matrix, bias force and tip Jacobian of one body at one state."""
         turn = rotation_matrix(position[3:7])
         joints, rates = position[7:].tolist(), velocity[6:].tolist()
-        still = [0.0] * len(joints)
+        p, q, r = (turn.T @ velocity[3:6]).tolist()
+        mass, bias = self.terms(body, joints, (p, q, r), rates)
         # velocity_bullet = to_bullet @ velocity
         to_bullet = np.eye(len(velocity))
         to_bullet[:6, :6] = np.block([[np.zeros((3, 3)), turn.T], [turn.T, np.zeros((3, 3))]])
-        mass = np.array(pybullet.calculateMassMatrix(body, joints, physicsClientId=self._client))
-        bias = np.array(
-            pybullet.calculateInverseDynamics(
-                body,
-                [0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0, *joints],
-                [*(turn.T @ velocity[3:6]).tolist(), 0.0, 0.0, 0.0, *rates],
-                [0.0] * len(velocity),
-                physicsClientId=self._client,
-            )
-        )
-        # Unlike its arguments, the result has the base's linear part first.
-        bias[:3], bias[3:6] = turn @ bias[:3], turn @ bias[3:6]
+        still = [0.0] * len(joints)
         linear, _ = pybullet.calculateJacobian(
             body,
             self._tip_link,
@@ -120,4 +141,8 @@ class Equation:
             still,
             physicsClientId=self._client,
         )
-        return to_bullet.T @ mass @ to_bullet, bias, turn @ np.array(linear) @ to_bullet
+        return (
+            to_bullet.T @ mass @ to_bullet,
+            to_bullet.T @ bias,
+            turn @ np.array(linear) @ to_bullet,
+        )

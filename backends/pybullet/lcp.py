@@ -1,5 +1,7 @@
-"""Linear complementarity with a positive definite matrix, and the triangular solves around it;
-compiled."""
+"""Solve the linear complementarity problem of the cables, compiled.
+
+The matrices are small, so that a call of LAPACK takes longer than these loops.
+"""
 
 from __future__ import annotations
 
@@ -19,94 +21,71 @@ _ROUND_OFF = 1e-13
 
 
 @numba.njit(cache=True, fastmath=_FAST)
-def append_row(whole: Array, row: int, size: int, inverse: Array) -> None:
-    """Solve L y = b in place, with b and then y in a row below the factor.
+def factor(whole: Array) -> Array:
+    """Replace a symmetric matrix by its Cholesky factor L, and each row b below it by L^-1 b.
 
     Args:
-        whole: the lower factor L in its first `size` rows, shape (rows, size).
-        row: which row to solve for.
-        size: order of L.
-        inverse: one over the diagonal of L, shape (size,).
-    """
-    target = whole[row]
-    for k in range(size):
-        pivot = whole[k]
-        value = target[k]
-        for i in range(k):
-            value -= target[i] * pivot[i]
-        target[k] = value * inverse[k]
-
-
-@numba.njit(cache=True, fastmath=_FAST)
-def factor(whole: Array, size: int) -> Array:
-    """Cholesky factor of the symmetric matrix in the lower triangle of the first `size` rows, in
-    place.
+        whole: the matrix, of which only the lower triangle is read, and rows of its length below.
 
     Returns:
-        One over the diagonal of the factor, shape (size,).
+        One over the diagonal of L.
     """
+    size = whole.shape[1]
     inverse = np.empty(size)
-    for row in range(size):
+    for row in range(whole.shape[0]):
         target = whole[row]
-        for k in range(row):
-            pivot = whole[k]
+        for k in range(min(row, size)):
             value = target[k]
             for i in range(k):
-                value -= target[i] * pivot[i]
+                value -= target[i] * whole[k, i]
             target[k] = value * inverse[k]
-        value = target[row]
-        for i in range(row):
-            value -= target[i] * target[i]
-        target[row] = np.sqrt(value)
-        inverse[row] = 1.0 / target[row]
+        if row < size:
+            value = target[row]
+            for i in range(row):
+                value -= target[i] * target[i]
+            target[row] = np.sqrt(value)
+            inverse[row] = 1.0 / target[row]
     return inverse
 
 
 @numba.njit(cache=True, fastmath=_FAST)
-def solve_transposed(whole: Array, size: int, inverse: Array, vector: Array) -> None:
-    """Solve L^T x = b in place; `vector` is b, then x, shape (size,)."""
-    for k in range(size - 1, -1, -1):
+def solve_transposed(whole: Array, inverse: Array, vector: Array) -> None:
+    """Replace a vector b by L^-T b; the other arguments are as :func:`factor` leaves them."""
+    for k in range(inverse.size - 1, -1, -1):
         vector[k] *= inverse[k]
         for i in range(k):
             vector[i] -= vector[k] * whole[k, i]
 
 
 @numba.njit(cache=True)
-def solve_complementarity(matrix: Array, vector: Array, count: int, solution: Array) -> None:
+def solve_complementarity(matrix: Array, vector: Array, solution: Array) -> None:
     """Solve 0 <= x complementary to A x + b >= 0, which has one solution as A is positive definite.
 
-    Block principal pivoting (Judice and Pires) exchanges all infeasible variables at once. After a
-    few rounds in which their number does not fall, it exchanges only the last (Murty), which ends.
+    Block principal pivoting (Judice and Pires, 1994) exchanges all infeasible variables at once.
+    After a few rounds in which their number does not fall, it exchanges only the last (Murty),
+    which ends.
 
     Args:
-        matrix: A in the first `count` rows and columns.
-        vector: b in the first `count` places.
-        count: order of the problem.
+        matrix: A, shape (count, count).
+        vector: b, shape (count,).
         solution: x, shape (at least count,); its positive entries are the first guess of the basis.
     """
+    count = vector.size
     basis = solution[:count] > 0.0
-    members = np.empty(count, np.int64)
-    scale = 0.0
-    for i in range(count):
-        scale = max(scale, abs(vector[i]))
+    scale = np.abs(vector).max() if count else 0.0
     least, trials = count + 1, _BLOCK_TRIALS
     for _ in range(_MAX_PIVOTS):
-        order = 0
-        for i in range(count):
-            if basis[i]:
-                members[order] = i
-                order += 1
-        block = np.empty((order + 1, order))
-        for row in range(order):
+        members = np.flatnonzero(basis)
+        block = np.empty((members.size + 1, members.size))
+        for row in range(members.size):
+            block[-1, row] = -vector[members[row]]
             for k in range(row + 1):
                 block[row, k] = matrix[members[row], members[k]]
-            block[order, row] = -vector[members[row]]
-        inverse = factor(block, order)
-        append_row(block, order, order, inverse)
-        solve_transposed(block, order, inverse, block[order])
+        inverse, solved = factor(block), block[-1]
+        solve_transposed(block, inverse, solved)
         solution[:count] = 0.0
-        for row in range(order):
-            solution[members[row]] = block[order, row]
+        for row in range(members.size):
+            solution[members[row]] = solved[row]
 
         infeasible, last = 0, -1
         wrong = np.zeros(count, np.bool_)
@@ -115,8 +94,8 @@ def solve_complementarity(matrix: Array, vector: Array, count: int, solution: Ar
                 wrong[i] = solution[i] * matrix[i, i] < -_ROUND_OFF * scale
             else:
                 value = vector[i]
-                for k in range(order):
-                    value += matrix[i, members[k]] * block[order, k]
+                for row in range(members.size):
+                    value += matrix[i, members[row]] * solved[row]
                 wrong[i] = value < -_ROUND_OFF * scale
             if wrong[i]:
                 infeasible += 1

@@ -1,33 +1,26 @@
-"""The PyBullet engine.
+"""The PyBullet engines: Bullet moves the robot, and this package adds cables and servos.
 
-Bullet itself computes almost nothing of the motion. The project's own compiled kernel finds the
-accelerations, cables and hinge limits included (:mod:`backends.pybullet.cables`); then Bullet gets
-the joint forces that reproduce them, and integrates. With ten lines of semi-implicit Euler in the
-place of Bullet the tip moves by 5e-12 mm. So the agreement with MuJoCo verifies two implementations
-of one model. It is not evidence that a policy transfers to other dynamics.
-
-What comes from Bullet's own functions are the equation of motion that `dynamics` returns, and
-pictures.
+Bullet's articulated-body step integrates base, sliders and links, with its own joint damping and
+hinge limits. Cables, springs and servos act as joint torques; see :mod:`backends.pybullet.cables`.
 """
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from functools import cached_property
 from typing import ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
 
-from backends.pybullet.cables import rig
-from backends.pybullet.dynamics import chain, tip_states
+from backends.pybullet.client import MAX_JOINT_SPEED
 from backends.pybullet.equation import Equation
-from backends.pybullet.kernel import kernel_dynamics
+from backends.pybullet.options import PybulletOptions, PybulletStockOptions
 from backends.pybullet.workers import Pool
 from backends.pybullet.world import World
 from backends.viewers.software import Renderer
 from cdcsr.errors import CdcsrError, Diverged
 from cdcsr.robot.description import Robot
-from cdcsr.robot.routing import routing
 from cdcsr.simulation.contract import (
     Array,
     Capability,
@@ -52,6 +45,7 @@ class PybulletSimulation(Simulation):
     Args:
         robot: the description.
         num: how many copies.
+        options: :class:`backends.pybullet.options.PybulletOptions`.
         workers: how many worker processes share the copies; with 0 they are stepped in this
             process. By default there are workers for 16 copies or more, if there is more than one
             processor. The numbers do not depend on it.
@@ -63,6 +57,7 @@ class PybulletSimulation(Simulation):
     engine: ClassVar[str] = "pybullet"
     title: ClassVar[str] = "PyBullet"
     capabilities: ClassVar[frozenset[Capability]] = frozenset({"render"})
+    options_type: ClassVar[type[EngineOptions]] = PybulletOptions
 
     def __init__(
         self,
@@ -73,6 +68,8 @@ class PybulletSimulation(Simulation):
         workers: int | None = None,
     ) -> None:
         super().__init__(robot, num, options)
+        assert isinstance(self.options, PybulletOptions)
+        self._options = self.options
         if workers is None:
             workers = min(processors(), -(-num // COPIES_PER_WORKER)) if num >= POOL_FROM else 0
             workers = workers if workers > 1 else 0
@@ -80,9 +77,12 @@ class PybulletSimulation(Simulation):
             raise CdcsrError(
                 f"{num} copies can be shared by 0 to {num} worker processes, not {workers}."
             )
-        self._world = Pool(robot, num, workers) if workers else World(robot, num)
-        self._chain, self._rig = chain(robot), rig(robot)
-        self._rest_length = routing(robot).rest_length
+        world = Pool(robot, num, self.options, workers) if workers else None
+        self._world = world or World(robot, num, self.options)
+
+    @property
+    def ideal(self) -> bool:
+        return self._options.damping == 0
 
     def _set_plant(self, ids: NDArray[np.int64], plant: Plant) -> None:
         self._world.set_plant(ids, plant)
@@ -101,12 +101,11 @@ class PybulletSimulation(Simulation):
             raise Diverged(self.engine, lost[0].copy, lost[0].time, lost[0].what)
 
     def state(self) -> State:
-        world, joints = self._world, 7 + self.robot.num_cables
-        tip_position, tip_velocity = tip_states(self._chain, world.position, world.velocity)
+        world, joints, tip = self._world, 7 + self.robot.num_cables, self._world.tip
         return State(
             time=world.time.copy(),
-            tip_position=tip_position,
-            tip_velocity=tip_velocity,
+            tip_position=tip[:, :3].copy(),
+            tip_velocity=tip[:, 3:].copy(),
             base_position=world.position[:, :3].copy(),
             base_quaternion=world.position[:, 3:7].copy(),
             base_velocity=world.velocity[:, :3].copy(),
@@ -136,19 +135,10 @@ class PybulletSimulation(Simulation):
 
     def dynamics(self, ids: Ids = None) -> Dynamics:
         chosen = self._chosen(ids)
-        return self._equation(
-            self._world.position[chosen], self._world.velocity[chosen], self._plant_of(chosen)
+        plant = Plant(*(rows[chosen] for rows in self.plant))
+        return self._equation.dynamics(
+            self._world.position[chosen], self._world.velocity[chosen], plant
         )
-
-    def step_dynamics(self, ids: Ids = None) -> Dynamics:
-        chosen = self._chosen(ids)
-        position, velocity = self._world.position[chosen], self._world.velocity[chosen]
-        return kernel_dynamics(
-            self._chain, self._rig, self._plant_of(chosen), self._rest_length, position, velocity
-        )
-
-    def _plant_of(self, chosen: NDArray[np.int64]) -> Plant:
-        return Plant(*(rows[chosen] for rows in self.plant))
 
     def render(self, index: int = 0, camera: str = "side") -> NDArray[np.uint8]:
         self._check_index(index)
@@ -167,3 +157,17 @@ class PybulletSimulation(Simulation):
     @cached_property
     def _renderer(self) -> Renderer:
         return Renderer(self.robot)
+
+
+class PybulletStock(PybulletSimulation):
+    """The same with what Bullet does by default: it damps all bodies, clamps joint speeds, and its
+    position motors are the servos."""
+
+    engine: ClassVar[str] = "pybullet-stock"
+    title: ClassVar[str] = "PyBullet, stock"
+    options_type: ClassVar[type[EngineOptions]] = PybulletStockOptions
+    switches: ClassVar[Mapping[str, str]] = {
+        "damping": "0",
+        "max_joint_speed": f"{MAX_JOINT_SPEED:g}",
+        "servo": "force",
+    }

@@ -23,6 +23,7 @@ from typing import IO, Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from backends.pybullet.options import PybulletOptions
 from backends.pybullet.world import Divergence, World
 from cdcsr.errors import CdcsrError
 from cdcsr.robot.description import Robot
@@ -46,7 +47,7 @@ class Pool:
         processes: the workers.
     """
 
-    def __init__(self, robot: Robot, num: int, workers: int) -> None:
+    def __init__(self, robot: Robot, num: int, options: PybulletOptions, workers: int) -> None:
         edges = np.linspace(0, num, workers + 1).round().astype(int)
         self._shares = [slice(int(a), int(b)) for a, b in itertools.pairwise(edges)]
         command = [sys.executable, "-c", _START, json.dumps(sys.path)]
@@ -59,7 +60,8 @@ class Pool:
         self.position = np.zeros((num, 7 + robot.num_cables + robot.num_hinges))
         self.velocity = np.zeros((num, robot.num_coordinates))
         self.tension = np.zeros((num, robot.num_cables))
-        self._ask([(robot, share.stop - share.start) for share in self._shares])
+        self.tip = np.zeros((num, 6))
+        self._ask([(robot, share.stop - share.start, options) for share in self._shares])
 
     def set_plant(self, ids: NDArray[np.int64], plant: Plant) -> None:
         """Give copies `ids` the numbers in the rows of `plant`."""
@@ -131,7 +133,7 @@ class Pool:
             for index, share in enumerate(self._shares):
                 result, state = pickle.load(_pipe(self.processes[index].stdout))
                 self.time[share], self.position[share] = state[:2]
-                self.velocity[share], self.tension[share] = state[2:]
+                self.velocity[share], self.tension[share], self.tip[share] = state[2:]
                 results.append(result)
         except (EOFError, OSError, pickle.UnpicklingError):
             worker, share = self.processes[index], self._shares[index]
@@ -157,7 +159,8 @@ def serve() -> None:
     result: list[Divergence] = []
     try:
         while True:
-            _send(answers, (result, (world.time, world.position, world.velocity, world.tension)))
+            state = (world.time, world.position, world.velocity, world.tension, world.tip)
+            _send(answers, (result, state))
             method, *arguments = pickle.load(requests)
             result = getattr(world, method)(*arguments) or []
     except (EOFError, BrokenPipeError):

@@ -11,9 +11,11 @@ import numpy as np
 import pybullet
 from numpy.typing import NDArray
 
+from backends.pybullet.body import Body
 from backends.pybullet.cables import joint_forces, rig
-from backends.pybullet.client import connect, load_robot_body, set_masses
-from backends.pybullet.dynamics import chain
+from backends.pybullet.client import connect
+from backends.pybullet.equation import Equation
+from backends.pybullet.options import PybulletOptions
 from cdcsr.robot.description import Robot
 from cdcsr.simulation.plant import Parameters, Plant
 
@@ -43,38 +45,45 @@ class World:
         time: shape (num,), in [s].
         position: as in a Snapshot, shape (num, 7 + C + 2 J).
         velocity: shape (num, nv).
-        tension: of the step just made, shape (num, C), in [N].
+        tension: of the last step of Bullet, shape (num, C), in [N].
     """
 
-    def __init__(self, robot: Robot, num: int) -> None:
+    def __init__(self, robot: Robot, num: int, options: PybulletOptions) -> None:
+        self._options = options
         self._clients: list[int] = []
         self._disconnect = weakref.finalize(self, _disconnect, self._clients)
-        self._bodies: list[tuple[int, int]] = []
+        self._bodies: list[Body] = []
         for copy in range(num):
             if copy % COPIES_PER_CLIENT == 0:
-                self._clients.append(connect(robot))
-            self._bodies.append((self._clients[-1], load_robot_body(robot, self._clients[-1])))
-        self._joints = range(robot.num_cables + robot.num_hinges)
-        self._chain, self._rig = chain(robot), rig(robot)
+                self._clients.append(connect(robot, options.substeps))
+            self._bodies.append(Body(robot, self._clients[-1], options))
+        self._equation = Equation(robot)
         self._plant = Parameters().plant(robot, num)
-        self._time_step = robot.time_step
+        self._asked = self._equation.bodies(self._plant)
+        self._rig, self._time_step = rig(robot), robot.time_step
         self.time = np.zeros(num)
-        self.position = np.zeros((num, 7 + len(self._joints)))
-        self.position[:, 3] = 1.0
+        self.position = np.zeros((num, 7 + robot.num_cables + robot.num_hinges))
         self.velocity = np.zeros((num, robot.num_coordinates))
         self.tension = np.zeros((num, robot.num_cables))
-        self._force = np.zeros((num, len(self._joints)))
+        self._force = np.zeros(robot.num_cables + robot.num_hinges)
+        self._servo = np.zeros(robot.num_cables)
         self._fastest = np.full(robot.num_coordinates, MAX_TURN / robot.time_step)
         self._fastest[:3] = robot.arm_length / robot.time_step
         self._fastest[6 : 6 + robot.num_cables] = robot.arm_length / robot.time_step
+        self.reset(range(num))
+
+    @property
+    def tip(self) -> Array:
+        """Position and velocity of the tip, shape (num, 6), in [m] and [m/s]."""
+        return np.array([body.tip() for body in self._bodies])
 
     def set_plant(self, ids: NDArray[np.int64], plant: Plant) -> None:
         """Give copies `ids` the numbers in the rows of `plant`."""
         for mine, new in zip(self._plant, plant, strict=True):
             mine[ids] = new
         for row, copy in enumerate(ids.tolist()):
-            client, body = self._bodies[copy]
-            set_masses(client, body, plant, row)
+            self._bodies[copy].set_plant(plant, row)
+        self._asked = self._equation.bodies(self._plant)
 
     def reset(self, ids: Iterable[int]) -> None:
         """Put copies back to the start."""
@@ -101,7 +110,6 @@ class World:
         self.position[ids], self.velocity[ids] = position, velocity
         for copy in ids.tolist():
             self._write(copy)
-            self._read(copy)
 
     def step(self, command: Array, substeps: int) -> list[Divergence]:
         """Advance all copies.
@@ -116,29 +124,16 @@ class World:
         """
         lost: dict[int, Divergence] = {}
         for _ in range(substeps):
-            joint_forces(
-                self._chain,
-                self._rig,
-                self._plant,
-                self.position,
-                self.velocity,
-                command,
-                self.tension,
-                self._force,
-            )
-            for (client, body), force in zip(self._bodies, self._force.tolist(), strict=True):
-                pybullet.setJointMotorControlArray(
-                    body,
-                    self._joints,
-                    pybullet.TORQUE_CONTROL,
-                    forces=force,
-                    physicsClientId=client,
-                )
-            for client in self._clients:
-                pybullet.stepSimulation(physicsClientId=client)
+            for _ in range(self._options.substeps):
+                for copy in range(len(self._bodies)):
+                    self._push(copy, command[copy])
+                for client in self._clients:
+                    pybullet.stepSimulation(physicsClientId=client)
+                for body, place, speed in zip(
+                    self._bodies, self.position, self.velocity, strict=True
+                ):
+                    body.read(place, speed)
             self.time += self._time_step
-            for copy in range(len(self._bodies)):
-                self._read(copy)
             if not _within(self.velocity, self._fastest):
                 for copy in np.flatnonzero(
                     ~(np.abs(self.velocity) <= self._fastest).all(axis=1)
@@ -153,6 +148,31 @@ class World:
     def close(self) -> None:
         """Release the clients; to close twice does nothing."""
         self._disconnect()
+        self._equation.close()
+
+    def _push(self, copy: int, command: Array) -> None:
+        """Give Bullet the joint forces of a copy's next step."""
+        body = self._bodies[copy]
+        mass, bias = self._equation.terms(self._asked[copy], body.angles, body.turning, body.rates)
+        joint_forces(
+            self._rig,
+            self._plant,
+            copy,
+            mass,
+            bias,
+            self.position[copy, 7:],
+            self.velocity[copy, 6:],
+            command,
+            self._time_step / self._options.substeps,
+            self.tension[copy],
+            self._servo,
+            self._force,
+        )
+        if self._options.servo == "force":
+            self._force[: len(self._servo)] += self._servo
+        else:
+            body.drive(command.tolist(), np.abs(self._servo).tolist())
+        body.push(self._force.tolist())
 
     def _complaint(self, copy: int) -> str:
         speed = np.abs(self.velocity[copy])
@@ -163,34 +183,10 @@ class World:
         return f"coordinate {worst} moves at {speed[worst]:.3g}, {limit}"
 
     def _write(self, copy: int) -> None:
-        """Give PyBullet the position and velocity of a copy."""
-        client, body = self._bodies[copy]
-        position, velocity = self.position[copy].tolist(), self.velocity[copy].tolist()
-        w, x, y, z = position[3:7]
-        pybullet.resetBasePositionAndOrientation(
-            body, position[:3], (x, y, z, w), physicsClientId=client
-        )
-        pybullet.resetBaseVelocity(body, velocity[:3], velocity[3:6], physicsClientId=client)
-        pybullet.resetJointStatesMultiDof(
-            body,
-            self._joints,
-            [[q] for q in position[7:]],
-            [[v] for v in velocity[6:]],
-            physicsClientId=client,
-        )
-
-    def _read(self, copy: int) -> None:
-        """Take the position and velocity of a copy from PyBullet."""
-        (client, body), position = self._bodies[copy], self.position[copy]
-        place, (x, y, z, w) = pybullet.getBasePositionAndOrientation(body, physicsClientId=client)
-        linear, angular = pybullet.getBaseVelocity(body, physicsClientId=client)
-        angles, rates, _, _ = zip(
-            *pybullet.getJointStates(body, self._joints, physicsClientId=client), strict=True
-        )
-        if position[3] * w + position[4] * x + position[5] * y + position[6] * z < 0:
-            w, x, y, z = -w, -x, -y, -z  # PyBullet's sign is arbitrary; ours does not jump
-        position[:] = (*place, w, x, y, z, *angles)
-        self.velocity[copy] = (*linear, *angular, *rates)
+        """Give Bullet the position and velocity of a copy."""
+        body = self._bodies[copy]
+        body.write(self.position[copy], self.velocity[copy])
+        body.read(self.position[copy], self.velocity[copy])
 
 
 def _disconnect(clients: list[int]) -> None:

@@ -15,9 +15,9 @@ from scipy.spatial.transform import Rotation
 from trimesh.visual import ColorVisuals
 
 from backends.pybullet.client import connect
-from backends.pybullet.dynamics import Frames, chain, forward_kinematics
 from cdcsr.robot.description import Robot
 from cdcsr.robot.meshes import visual_meshes
+from cdcsr.robot.poses import Poses, link_poses
 from cdcsr.robot.routing import routing
 from cdcsr.simulation.contract import camera_angles
 
@@ -46,7 +46,7 @@ class Renderer:
     def __init__(self, robot: Robot) -> None:
         self._client = connect(robot)
         self._disconnect = weakref.finalize(self, pybullet.disconnect, self._client)
-        self._chain, self._route = chain(robot), routing(robot)
+        self._robot, self._route = robot, routing(robot)
         meshes = visual_meshes(robot)
         segment_of = [s for s, segment in enumerate(robot.segments) for _ in range(segment.links)]
         self._parts = [self._mesh(meshes["base"])] + [
@@ -56,8 +56,8 @@ class Renderer:
         self._targets: list[int] = []
         straight = np.zeros(7 + robot.num_cables + robot.num_hinges)
         straight[3] = 1.0
-        frames = forward_kinematics(self._chain, straight)
-        self._cables = [self._line(end - start) for start, end in self._cable_pieces(frames)]
+        pieces = self._cable_pieces(link_poses(robot, straight))
+        self._cables = [self._line(end - start) for start, end in pieces]
         self._low, self._high = -robot.top, robot.top + robot.arm_length
 
     def draw(
@@ -123,15 +123,15 @@ class Renderer:
         self._disconnect()
 
     def _pose(self, position: Array) -> None:
-        origin, frames = position[:3], forward_kinematics(self._chain, position)
-        places = np.concatenate([np.zeros((1, 3)), frames.joint[:-1]])
-        turns = Rotation.from_matrix(frames.axes.transpose(0, 2, 1)).as_quat()
+        poses = link_poses(self._robot, position)
+        places = np.concatenate([position[None, :3], poses.joint[:-1]])
+        turns = Rotation.from_matrix(poses.axes).as_quat()
         for bodies, place, turn in zip(self._parts, places, turns, strict=True):
             for body in bodies:
-                self._put(body, origin + place, turn)
-        self._put(self._tip, origin + frames.joint[-1])
-        for line, (start, end) in zip(self._cables, self._cable_pieces(frames), strict=True):
-            self._put(line, origin + (start + end) / 2, _turn_to(end - start))
+                self._put(body, place, turn)
+        self._put(self._tip, poses.joint[-1])
+        for line, (start, end) in zip(self._cables, self._cable_pieces(poses), strict=True):
+            self._put(line, (start + end) / 2, _turn_to(end - start))
 
     def _mark(self, targets: Array) -> None:
         while len(self._targets) < len(targets):
@@ -141,19 +141,19 @@ class Renderer:
         for ball, target in zip(self._targets, targets, strict=False):
             self._put(ball, target)
 
-    def _cable_pieces(self, frames: Frames) -> list[tuple[Array, Array]]:
-        """Return the straight pieces of all cables outside the base, from guide to guide, relative
-        to the base's centre, in [m]."""
-        pieces = []
+    def _cable_pieces(self, poses: Poses) -> list[tuple[Array, Array]]:
+        """Return the straight pieces of all cables outside the base, from guide to guide, in the
+        world frame, in [m]."""
+        pieces, joint = [], poses.joint
         for place, offset, joints in zip(
             self._route.place, self._route.guide_offset, self._route.joints, strict=True
         ):
-            across = np.array([*place, 0.0]) @ frames.axes  # on the base and on each link
-            up = frames.axes[:, 2]
+            across = poses.axes @ np.array([*place, 0.0])  # on the base and on each link
+            up = poses.axes[:, :, 2]
             for n in range(joints):
-                below = frames.joint[n] + across[n] - offset * up[n]
-                above = frames.joint[n] + across[n + 1] + offset * up[n + 1]
-                end = frames.joint[n + 1] + across[n + 1] - offset * up[n + 1]
+                below = joint[n] + across[n] - offset * up[n]
+                above = joint[n] + across[n + 1] + offset * up[n + 1]
+                end = joint[n + 1] + across[n + 1] - offset * up[n + 1]
                 pieces += [(below, above), (above, end)]
         return pieces
 

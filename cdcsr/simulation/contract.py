@@ -8,7 +8,7 @@ joint). In shapes, C is the number of cables, J that of joints and nv = 6 + C + 
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import ClassVar, Literal
 
@@ -143,6 +143,9 @@ class Simulation(ABC):
     capabilities: ClassVar[frozenset[Capability]]
     options_type: ClassVar[type[EngineOptions]] = EngineOptions
     """The class of the options, each with its default, its bounds and a docstring."""
+    switches: ClassVar[Mapping[str, str]] = {}
+    """Values of options, each of which sets one of the engine's own settings to the
+    description's."""
 
     def __init__(self, robot: Robot, num: int = 1, options: EngineOptions | None = None) -> None:
         check_count("The number of copies", num, MOST_COPIES)
@@ -151,6 +154,12 @@ class Simulation(ABC):
         self.options = options or self.options_type()
         self.plant: Plant = Parameters().plant(robot, num)
         self._line = DelayLine(num, robot.num_cables)
+
+    @property
+    def ideal(self) -> bool:
+        """Whether the motion converges to that of the description's ideal cables and dampers, as
+        the time step shrinks."""
+        return True
 
     def set_parameters(self, ids: Ids, parameters: Parameters) -> None:
         """Set how copies differ from the description, until it is set again.
@@ -265,13 +274,6 @@ class Simulation(ABC):
     @abstractmethod
     def dynamics(self, ids: Ids = None) -> Dynamics:
         """Return the equation of motion of some copies, from this engine's own model."""
-
-    def step_dynamics(self, ids: Ids = None) -> Dynamics | None:
-        """Return the equation of motion as `step` evaluates it, or None if `dynamics` is that code.
-
-        An engine whose `step` has its own evaluation must show it here, so that parity covers it.
-        """
-        return None
 
     @abstractmethod
     def render(self, index: int = 0, camera: str = "side") -> NDArray[np.uint8]:

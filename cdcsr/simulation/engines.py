@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import os
 import sys
+from collections.abc import Callable
 from functools import cache
 from importlib.metadata import EntryPoint, entry_points
 
@@ -65,6 +66,27 @@ def chosen_backends(name: str) -> list[str]:
     return chosen
 
 
+def engine_factory(name: str) -> Callable[[Robot, int], Simulation]:
+    """Return what makes simulations of a number of copies in an engine.
+
+    Raises:
+        CdcsrError: no engine of that name is installed, or an option is wrong.
+    """
+    kind, options = _backend_with_options(name)
+    return lambda robot, num: kind(robot, num, options)
+
+
+def switched_off(name: str) -> list[str]:
+    """Return an engine's name with one of its own settings set to the description's, for each."""
+    bare, _, listed = name.partition(":")
+    given = dict(pair.split("=") for pair in listed.split(",") if pair)
+    names = []
+    for key, value in load_backend(name).switches.items():
+        options = given | {key: value}
+        names.append(f"{bare}:" + ",".join(f"{k}={v}" for k, v in options.items()))
+    return names
+
+
 def make_simulation(robot: Robot, backend: str, num: int = 1) -> Simulation:
     """Make a simulation of `num` copies in an engine.
 
@@ -76,8 +98,7 @@ def make_simulation(robot: Robot, backend: str, num: int = 1) -> Simulation:
     Raises:
         CdcsrError: no engine of that name is installed, or an option is wrong.
     """
-    kind, options = _backend_with_options(backend)
-    return kind(robot, num, options)
+    return engine_factory(backend)(robot, num)
 
 
 def _backend_with_options(text: str) -> tuple[type[Simulation], EngineOptions]:

@@ -17,6 +17,15 @@ def engine(request: pytest.FixtureRequest) -> str:
     return request.param
 
 
+@pytest.fixture(
+    params=[name for name in backend_names() if name != "pybullet-stock"]
+    + ["pybullet-stock:damping=0,servo=force"]
+)
+def undamped_engine(request: pytest.FixtureRequest) -> str:
+    """An engine without damping and motors of its own."""
+    return request.param
+
+
 @pytest.fixture(params=shipped_robots())
 def robot(request: pytest.FixtureRequest) -> Robot:
     return load_robot(request.param)

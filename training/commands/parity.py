@@ -18,8 +18,10 @@ def parity(
 ) -> None:
     """Measure how far apart the engines are on a robot: one state, one step, open loop.
 
-    Each level has tolerances. If one is exceeded, the command still measures and writes everything;
-    then it names the first check that failed, and its exit code is 1.
+    Engines may differ in their scheme and in settings of their own, and the report says by how
+    much. Tolerances catch mistakes: all engines must have one equation of motion, and those of the
+    ideal cable one limit. If a tolerance is exceeded, the command still measures and writes
+    everything; then it names the first check that failed, and its exit code is 1.
 
     Args:
         robot: a shipped robot, or a path ending in .toml.
@@ -35,7 +37,12 @@ def parity(
     from cdcsr.errors import CdcsrError, CheckFailed
     from cdcsr.files import write_json
     from cdcsr.robot.description import load_robot
-    from cdcsr.simulation.engines import backend_names, chosen_backends, load_backend
+    from cdcsr.simulation.engines import (
+        backend_names,
+        chosen_backends,
+        engine_factory,
+        switched_off,
+    )
     from training.measure.trajectories import demonstrator_commands
 
     if episodes < 1:
@@ -43,7 +50,11 @@ def parity(
     if seed < 0:
         raise CdcsrError(f"seed must not be negative, found {seed}.")
     description = load_robot(robot)
-    engines = {name: load_backend(name) for name in (reference, *chosen_backends(backend))}
+    names = dict.fromkeys([reference, *chosen_backends(backend)])
+    engines = {name: engine_factory(name) for name in names}
+    switches = {
+        name: {other: engine_factory(other) for other in switched_off(name)} for name in names
+    }
     if len(engines) < 2:
         installed = ", ".join(backend_names())
         raise CdcsrError(
@@ -54,7 +65,7 @@ def parity(
         demonstrator_commands(description, reference, episodes, seed),
         random_commands(description, episodes, seed),
     ]
-    result = measure(description, engines, runs, seed, progress=True)
+    result = measure(description, engines, runs, seed, progress=True, switches=switches)
     print(show(result))
     if json is not None:
         write_json(json, result.as_dict())

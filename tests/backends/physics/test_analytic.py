@@ -81,7 +81,7 @@ def poles(samples: Array, interval: float) -> complex:
 @pytest.mark.parametrize("axis", [0, 1])
 @pytest.mark.parametrize("damping", [0.0, 0.02])
 def test_a_link_swings_with_the_closed_forms_frequency_and_damping(
-    engine: str, axis: int, damping: float
+    undamped_engine: str, axis: int, damping: float
 ) -> None:
     """The frequency is sqrt(k / I) and the damping ratio c / (2 sqrt(k I)), recoil of the base
     included.
@@ -96,7 +96,7 @@ def test_a_link_swings_with_the_closed_forms_frequency_and_damping(
     assert inertia < 0.9 * on_a_fixed_base  # the base does give way
     frequency, ratio = np.sqrt(stiffness / inertia), damping / (2 * np.sqrt(stiffness * inertia))
     angles = []
-    with running(robot, engine) as simulation:
+    with running(robot, undamped_engine) as simulation:
         simulation.set_snapshot(at(robot, start.position, start.velocity))
         for _ in range(150):
             angles.append(simulation.state().joint_angles[0, axis])
@@ -110,7 +110,7 @@ def test_a_link_swings_with_the_closed_forms_frequency_and_damping(
 
 @pytest.mark.parametrize("damping", [1.0, 20.0])
 def test_sliders_of_slack_cables_answer_a_step_like_mass_spring_damper(
-    engine: str, damping: float
+    undamped_engine: str, damping: float
 ) -> None:
     """All sliders move together from 0.08 m to a set-point of 0.05 m; below 0 their cables would
     pull.
@@ -132,7 +132,7 @@ def test_sliders_of_slack_cables_answer_a_step_like_mass_spring_damper(
             * np.array([[0, 1], [-servo.gain / mass, -servo.damping / mass]])
         )
         start, worst = straight(robot, travel=0.08), 0.0
-        with running(robot, engine) as simulation:
+        with running(robot, undamped_engine) as simulation:
             simulation.set_snapshot(start)
             expected = np.array([0.03, 0.0])  # travel above the set-point, and its rate
             for _ in range(200):

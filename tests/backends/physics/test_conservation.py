@@ -60,10 +60,10 @@ def drift(coarse: Robot, engine: str, divide: int) -> Array:
     return largest / size
 
 
-def test_momentum_drifts_only_by_the_integrators_error(robot: Robot, engine: str) -> None:
+def test_momentum_drifts_only_by_the_integrators_error(robot: Robot, undamped_engine: str) -> None:
     """The integrators are of first order: the drift halves with the step (measured order 0.90 to
     1.00)."""
-    drifts = [drift(robot, engine, divide) for divide in (1, 2, 4)]
+    drifts = [drift(robot, undamped_engine, divide) for divide in (1, 2, 4)]
     assert (drifts[0] < [2e-3, 1e-3, 2e-6]).all()
     orders = np.log2(np.array(drifts[:-1]) / drifts[1:])
     assert (orders > 0.85).all()
@@ -139,7 +139,9 @@ def gain_and_loss(
     return departure / start
 
 
-def test_without_damping_a_moving_robot_keeps_its_energy(robot: Robot, engine: str) -> None:
+def test_without_damping_a_moving_robot_keeps_its_energy(
+    robot: Robot, undamped_engine: str
+) -> None:
     """Base, arm and sliders move and all cables are slack: these are free rigid bodies and springs.
     The error is of first order (measured 1.0)."""
     start, cables = moving(robot, 1, bend=0.05), robot.num_cables
@@ -147,7 +149,7 @@ def test_without_damping_a_moving_robot_keeps_its_energy(robot: Robot, engine: s
     start.velocity[0] *= 0.3
     command = np.full((1, cables), 0.05)
     errors = [
-        gain_and_loss(robot, engine, divide, start.position, start.velocity, command)
+        gain_and_loss(robot, undamped_engine, divide, start.position, start.velocity, command)
         for divide in (1, 4, 8)
     ]
     assert errors[0] < 3e-4
@@ -155,7 +157,7 @@ def test_without_damping_a_moving_robot_keeps_its_energy(robot: Robot, engine: s
     assert np.log2(errors[1] / errors[2]) > 0.85
 
 
-def test_without_damping_taut_cables_keep_the_energy(robot: Robot, engine: str) -> None:
+def test_without_damping_taut_cables_keep_the_energy(robot: Robot, undamped_engine: str) -> None:
     """Springs of servos and hinges and the moving arm exchange energy through taut cables, which
     take none.
 
@@ -164,7 +166,7 @@ def test_without_damping_taut_cables_keep_the_energy(robot: Robot, engine: str) 
     start, command = straight(robot), np.zeros((1, robot.num_cables))
     command[0, [0, -1]] = -0.3, -0.2
     errors = [
-        gain_and_loss(robot, engine, divide, start.position, start.velocity, command)
+        gain_and_loss(robot, undamped_engine, divide, start.position, start.velocity, command)
         for divide in (1, 2)
     ]
     assert errors[0] < 2e-4

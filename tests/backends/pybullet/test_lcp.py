@@ -24,5 +24,5 @@ def test_complementarity_against_trying_every_basis() -> None:
                 solutions.append(x)
         for guess in (np.zeros(order), np.ones(order), random.uniform(-1, 1, order)):
             found = guess.copy()
-            solve_complementarity(matrix, vector, order, found)
+            solve_complementarity(matrix, vector, found)
             np.testing.assert_allclose(found, solutions[0], rtol=1e-8, atol=1e-9)

@@ -15,7 +15,7 @@ from tests.support.physics import Make, random_parameters
 def test_old_masses_are_forgotten_however_many_there_were(
     make: Make, paper: Robot, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("backends.pybullet.equation._MOST_BODIES", 2)
+    monkeypatch.setattr("backends.pybullet.equation.MOST_BODIES", 2)
     simulation = make("pybullet", paper)
     for factor in np.linspace(1, 3, 12):
         simulation.set_parameters(None, Parameters(base_mass=factor, link_mass=factor))
