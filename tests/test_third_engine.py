@@ -17,7 +17,7 @@ from training.config.run_description import RunDescription
 from training.study.execute.evaluations import Subject, nominal
 
 pytestmark = pytest.mark.usefixtures("third_engine")
-ALL = ["mujoco", "pybullet", "third"]
+ALL = ["mujoco", "pybullet", "pybullet-stock", "third"]
 
 
 def test_it_is_found_by_name() -> None:
