@@ -9,8 +9,11 @@ from __future__ import annotations
 
 import functools
 import os
+import signal
 import sys
-from collections.abc import Callable, Mapping, Sequence
+import threading
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager, suppress
 from importlib.metadata import EntryPoint, entry_points, version
 from pathlib import Path
 from typing import Any, ParamSpec
@@ -26,28 +29,37 @@ _BROKEN_PIPE = 141
 _P = ParamSpec("_P")
 
 
-def _end_with_reader(function: Callable[_P, int]) -> Callable[_P, int]:
-    """Make a function end quietly when the reader of its output has closed it, as `head` does."""
+class _Ended(BaseException):
+    """Say which signal ends the program."""
+
+
+def _end_with_output(function: Callable[_P, int]) -> Callable[_P, int]:
+    """Make a function end quietly when the reader of its output has closed it, as `head` does, and
+    in one line when the system refuses a call, such as writing to a full disk."""
 
     @functools.wraps(function)
     def call(*args: _P.args, **kwargs: _P.kwargs) -> int:
         try:
             code = function(*args, **kwargs)
             sys.stdout.flush()
-        except BrokenPipeError:
+        except OSError as error:
             try:
                 print(flush=True)
-            except BrokenPipeError:
+            except OSError as refused:
                 # Python flushes once more as it ends.
                 os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-                return _BROKEN_PIPE
-            raise  # another pipe broke
+                if isinstance(refused, BrokenPipeError):
+                    return _BROKEN_PIPE
+                return _fail(f"Cannot write the output: {refused.strerror or refused}.")
+            if isinstance(error, BrokenPipeError):
+                raise  # another pipe broke
+            return _fail(f"The system refused a call: {error}.")
         return code
 
     return call
 
 
-@_end_with_reader
+@_end_with_output
 def main(argv: Sequence[str] | None = None) -> int:
     """Run one sub-command.
 
@@ -55,8 +67,8 @@ def main(argv: Sequence[str] | None = None) -> int:
         argv: the arguments after `cdcsr`; by default those of this process.
 
     Returns:
-        The exit code: 0; 1 if a check did not hold; 2 for an error of the user; 130 if interrupted;
-        141 if nobody reads the output any longer.
+        The exit code: 0; 1 if a check did not hold; 2 for an error of the user; 130 if interrupted,
+        129 by SIGHUP, 143 by SIGTERM; 141 if nobody reads the output any longer.
     """
     arguments = list(sys.argv[1:] if argv is None else argv)
     commands = {point.name: point for point in entry_points(group=_GROUP)}
@@ -80,7 +92,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     return run(function, f"cdcsr {name}", rest)
 
 
-@_end_with_reader
+@_end_with_output
 def run(function: Callable[..., Any], prog: str, argv: Sequence[str]) -> int:
     """Call a function with the arguments of a command line; an error becomes one line.
 
@@ -100,18 +112,44 @@ def run(function: Callable[..., Any], prog: str, argv: Sequence[str]) -> int:
     import tyro
 
     try:
-        if isinstance(function, type):
-            command = function(prog, argv)
-            _refuse_unwritable(vars(command))
-            command.run()
-        else:
-            tyro.cli(_checking_files(function), prog=prog, args=list(argv))
+        with _cleaning_up():
+            if isinstance(function, type):
+                command = function(prog, argv)
+                _refuse_unwritable(vars(command))
+                command.run()
+            else:
+                tyro.cli(_checking_files(function), prog=prog, args=list(argv))
     except CdcsrError as error:
         return _fail(str(error), error.exit_code)
     except KeyboardInterrupt:
-        print("cdcsr: interrupted", file=sys.stderr)
-        return 130
+        return _say("interrupted", 130)
+    except _Ended as ended:
+        number = ended.args[0]
+        return _say(f"ended by {signal.Signals(number).name}", 128 + number)
     return 0
+
+
+@contextmanager
+def _cleaning_up() -> Iterator[None]:
+    """Let SIGTERM and SIGHUP end the program as Ctrl-C does, by an exception: so locks are given
+    back and temporary files deleted. A signal that is ignored, as under nohup, stays ignored."""
+    ours: list[signal.Signals] = []
+
+    def end(number: int, _: object) -> None:
+        for each in ours:  # a second one would disturb the cleaning up
+            signal.signal(each, signal.SIG_IGN)
+        raise _Ended(number)
+
+    try:
+        if threading.current_thread() is threading.main_thread():
+            for each in (signal.SIGTERM, signal.SIGHUP):
+                if signal.getsignal(each) is signal.SIG_DFL:
+                    ours.append(each)
+                    signal.signal(each, end)
+        yield
+    finally:
+        for each in ours:
+            signal.signal(each, signal.SIG_DFL)
 
 
 def _checking_files(function: Callable[..., object]) -> Callable[..., object]:
@@ -166,5 +204,10 @@ def _reason(error: Exception) -> str:
 
 
 def _fail(message: str, code: int = 2) -> int:
-    print(f"cdcsr: error: {message}", file=sys.stderr)
+    return _say(f"error: {message}", code)
+
+
+def _say(message: str, code: int) -> int:
+    with suppress(OSError):
+        print(f"cdcsr: {message}", file=sys.stderr)
     return code

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import difflib
 from collections.abc import Iterable
+from pathlib import Path
 
 _LONGEST = 1_900
 """The length at which a message is cut; input can be quoted in it."""
@@ -47,6 +48,11 @@ class Diverged(CdcsrError, FloatingPointError):
             f"{engine}: copy {copy} diverged at t = {time:.4f} s ({what}); "
             "use a smaller time_step, or check the stiffnesses and masses in the robot description."
         )
+
+
+def cannot_write(path: Path, error: OSError) -> CdcsrError:
+    """Return the error for a file or a folder that cannot be written."""
+    return CdcsrError(f"Cannot write {path}: {error.strerror or error}.")
 
 
 def unknown_choice(kind: str, found: object, allowed: Iterable[str]) -> str:

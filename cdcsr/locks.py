@@ -11,7 +11,8 @@ from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 
-from cdcsr.errors import CdcsrError
+from cdcsr.errors import CdcsrError, cannot_write
+from cdcsr.leftovers import is_running, started, temporary_beside
 
 HEARTBEAT = 5.0
 """Seconds between two signs of life of the process that holds a lock."""
@@ -35,31 +36,44 @@ def lock(path: Path) -> Iterator[None]:
 
     Raises:
         Busy: a live process holds it.
+        CdcsrError: the file cannot be written.
     """
-    path.parent.mkdir(parents=True, exist_ok=True)
     token = uuid.uuid4().hex
     holder = {
         "pid": os.getpid(),
         "host": socket.gethostname(),
-        "started": _started(os.getpid()),
+        "started": started(os.getpid()),
         "token": token,
     }
-    mine = path.with_name(f".{path.name}.{token[:8]}")
+    mine = temporary_beside(path)
     done = threading.Event()
     beat = threading.Thread(target=_keep_alive, args=(path, done), daemon=True)
     try:  # a signal may end this process at any point here
-        mine.write_text(json.dumps(holder))
-        _take(path, mine)
-        mine.unlink(missing_ok=True)  # now, as a killed process would leave it behind
+        try:
+            path.parent.mkdir(parents=True, exist_ok=True)
+            mine.write_text(json.dumps(holder))
+            _take(path, mine)
+            mine.unlink(missing_ok=True)  # now, as a killed process would leave it behind
+        except OSError as error:
+            raise cannot_write(path, error) from None
         beat.start()
         yield
     finally:
         done.set()
         if beat.is_alive():
             beat.join()
-        mine.unlink(missing_ok=True)
-        if _holder(path).get("token") == token:
-            path.unlink(missing_ok=True)
+        with suppress(OSError):  # such as a folder that has vanished
+            mine.unlink(missing_ok=True)
+            if _holder(path).get("token") == token:
+                path.unlink(missing_ok=True)
+
+
+def release_dead_locks(folder: Path) -> None:
+    """Delete the hidden lock files in a folder whose holders are dead."""
+    for path in folder.glob(".*.lock"):
+        if _holder(path).get("token") and _is_stale(path):
+            with suppress(Busy), lock(path):
+                pass
 
 
 def _take(path: Path, mine: Path) -> None:
@@ -101,9 +115,8 @@ def _is_stale(path: Path) -> bool:
     """Return whether there is a lock whose holder is dead."""
     holder = _holder(path)
     if holder.get("host") == socket.gethostname():
-        pid = holder.get("pid")
-        return not _is_alive(pid) or _started(pid) != holder.get("started")
-    probe = path.with_name(f".{path.name}.{uuid.uuid4().hex[:8]}")
+        return not is_running(holder.get("pid"), holder.get("started"))
+    probe = temporary_beside(path)
     try:
         probe.touch()  # the clock of the file system, not of this machine
         return probe.stat().st_mtime - path.stat().st_mtime > STALE_AFTER
@@ -118,28 +131,6 @@ def _holder(path: Path) -> dict[str, int | str | None]:
         return dict(json.loads(path.read_text()))
     except (OSError, ValueError, TypeError):
         return {}
-
-
-def _is_alive(pid: object) -> bool:
-    if not isinstance(pid, int):
-        return False
-    try:
-        os.kill(pid, 0)
-    except ProcessLookupError:
-        return False
-    except PermissionError:
-        return True
-    return True
-
-
-def _started(pid: object) -> str | None:
-    """Return when a process started, where the system tells; process numbers are used again."""
-    try:
-        stat = Path(f"/proc/{pid}/stat").read_text()
-    except OSError:
-        return None
-    state, *rest = stat.rpartition(")")[2].split()
-    return None if state == "Z" else rest[18]
 
 
 def _keep_alive(path: Path, done: threading.Event) -> None:

@@ -56,7 +56,7 @@ def experiments(
         json: also write to this file what became of each run.
     """
     from cdcsr.errors import CdcsrError
-    from cdcsr.files import write_json
+    from cdcsr.files import refuse_unwritable, write_json
     from training.study import store as results_store
     from training.study.declare.budgets import BUDGETS
 
@@ -74,6 +74,8 @@ def experiments(
         raise CdcsrError(
             f"No run of {', '.join(chosen)} fits the pattern {only!r}; --list shows their names."
         )
+    for folder in (runs, results):
+        refuse_unwritable(folder / "run.json")
     _refuse_other_learners(wanted, results, runs, store, stored)
     left = [
         replace(job, evaluations=lacking)

@@ -7,7 +7,8 @@ from pathlib import Path
 
 from cdcsr.cli import run
 from cdcsr.errors import CdcsrError
-from cdcsr.files import new_folder, write_json, write_text
+from cdcsr.files import write_json, write_text
+from cdcsr.folders import new_folder
 
 PAGE = "README.md"
 

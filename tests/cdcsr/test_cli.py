@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import signal
 import subprocess
 import sys
 import time
@@ -231,3 +232,60 @@ def test_a_folder_without_permission_is_refused(
     monkeypatch.setattr(os, "access", lambda path, mode: (path, mode) != (tmp_path, os.W_OK))
     with pytest.raises(CdcsrError, match="may not be written to"):
         refuse_unwritable(tmp_path / "x.json")
+
+
+def test_a_full_disk_under_the_output_is_one_line() -> None:
+    with Path("/dev/full").open("wb") as full:
+        done = subprocess.run([SCRIPT, "--help"], stdout=full, stderr=subprocess.PIPE, check=False)
+    assert done.returncode == 2
+    assert done.stderr == b"cdcsr: error: Cannot write the output: No space left on device.\n"
+
+
+def test_a_call_that_the_system_refuses_is_one_line(capsys: pytest.CaptureFixture[str]) -> None:
+    def read() -> None:
+        raise PermissionError(13, "Permission denied", "notes")
+
+    assert cli.run(read, "read", []) == 2
+    assert capsys.readouterr().err == (
+        "cdcsr: error: The system refused a call: [Errno 13] Permission denied: 'notes'.\n"
+    )
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
+def test_every_signal_that_ends_a_command_cleans_up(tmp_path: Path, number: signal.Signals) -> None:
+    code = (
+        "import signal, sys, time; from pathlib import Path; from cdcsr import cli; "
+        "from cdcsr.folders import new_folder\n"
+        "signal.signal(signal.SIGINT, signal.default_int_handler)\n"
+        "def work(out: Path, /) -> None:\n"
+        "    with new_folder(out, 'models', False) as folder:\n"
+        "        (folder / 'half').touch(); print('ready', flush=True); time.sleep(60)\n"
+        "sys.exit(cli.run(work, 'work', sys.argv[1:]))"
+    )
+    process = subprocess.Popen(
+        [sys.executable, "-c", code, str(tmp_path / "out")],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+    )
+    assert process.stdout is not None
+    assert process.stdout.readline() == b"ready\n"
+    assert len(list(tmp_path.iterdir())) == 2  # the folder in the making, and the lock
+    process.send_signal(number)
+    _, said = process.communicate(timeout=30)
+    assert process.returncode == 128 + number
+    word = "interrupted" if number == signal.SIGINT else f"ended by {number.name}"
+    assert said.decode() == f"cdcsr: {word}\n"
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_an_ignored_signal_stays_ignored(capsys: pytest.CaptureFixture[str]) -> None:
+    def look() -> None:
+        print([signal.getsignal(n) for n in (signal.SIGHUP, signal.SIGTERM)])
+
+    before = signal.signal(signal.SIGHUP, signal.SIG_IGN)
+    try:
+        assert cli.run(look, "look", []) == 0
+    finally:
+        signal.signal(signal.SIGHUP, before)
+    assert capsys.readouterr().out.startswith("[<Handlers.SIG_IGN: 1>, <function ")
+    assert signal.getsignal(signal.SIGTERM) is signal.SIG_DFL

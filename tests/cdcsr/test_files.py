@@ -1,21 +1,22 @@
-"""Files and folders are complete or absent, and other people's folders are never overwritten."""
+"""Files are complete or absent, and what is no ordinary file stays what it is."""
 
 from __future__ import annotations
 
 import json
+import os
+import stat
+import subprocess
+import sys
+import threading
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from cdcsr.errors import CdcsrError
-from cdcsr.files import WorkingFolder, new_folder, write_bytes, write_json, write_text
-from cdcsr.locks import Busy
-
-
-def names(folder: Path) -> list[str]:
-    """Return all names in a folder, hidden ones included."""
-    return sorted(path.name for path in folder.iterdir())
+from cdcsr.files import refuse_unwritable, write_bytes, write_json, write_text
+from cdcsr.leftovers import sweep, temporary_beside
+from tests.support.paths import names
 
 
 def test_a_file_is_written_and_replaced_and_nothing_else_is_left(tmp_path: Path) -> None:
@@ -59,184 +60,86 @@ def test_json_refuses_what_it_cannot_express(tmp_path: Path) -> None:
     assert names(tmp_path) == []
 
 
-def test_a_new_folder_appears_only_when_it_is_complete(tmp_path: Path) -> None:
-    place = tmp_path / "new" / "out"
-    with new_folder(place, "models", force=False) as folder:
-        (folder / "a").write_text("a")
-        assert not place.exists()
-    assert names(place) == [".cdcsr", "a"]
-    assert names(place.parent) == ["out"]
+@pytest.mark.parametrize("size", [3, 100_000])
+def test_a_pipe_is_written_into_and_stays_one(tmp_path: Path, size: int) -> None:
+    pipe, data = tmp_path / "pipe", bytes(size)
+    os.mkfifo(pipe)
+    refuse_unwritable(pipe)
+    read: list[bytes] = []
+    reader = threading.Thread(target=lambda: read.append(pipe.read_bytes()))
+    reader.start()
+    write_bytes(pipe, data)
+    reader.join()
+    assert read == [data]
+    assert stat.S_ISFIFO(pipe.lstat().st_mode)
+    assert names(tmp_path) == ["pipe"]
 
 
-def fill_and_fail(place: Path, failure: type[BaseException], force: bool = False) -> None:
-    with new_folder(place, "models", force) as folder:
-        (folder / "new").write_text("new")
-        raise failure
+def test_a_device_stays_a_device_and_a_full_one_is_one_line() -> None:
+    refuse_unwritable(Path(os.devnull))
+    write_text(Path(os.devnull), "nothing")
+    assert Path(os.devnull).is_char_device()
+    with pytest.raises(CdcsrError, match=r"^Cannot write /dev/full: No space left on device\.$"):
+        write_text(Path("/dev/full"), "nothing")
 
 
-@pytest.mark.parametrize("failure", [ValueError, KeyboardInterrupt])
-def test_a_failure_leaves_nothing(tmp_path: Path, failure: type[BaseException]) -> None:
-    with pytest.raises(failure):
-        fill_and_fail(tmp_path / "out", failure)
-    assert names(tmp_path) == []
+def test_standard_output_is_written_after_what_was_printed(tmp_path: Path) -> None:
+    code = "from pathlib import Path; from cdcsr.files import write_text; "
+    code += "print('one'); write_text(Path('/dev/stdout'), 'two\\n'); print('three')"
+    with (tmp_path / "out").open("wb") as out:
+        subprocess.run([sys.executable, "-c", code], check=True, stdout=out)
+    assert (tmp_path / "out").read_text() == "one\ntwo\nthree\n"
 
 
-def test_an_existing_folder_is_refused_with_the_remedy(tmp_path: Path) -> None:
-    place = tmp_path / "out"
-    place.mkdir()
-    with pytest.raises(CdcsrError) as caught, new_folder(place, "models", force=False):
-        pytest.fail("the block must not run")
-    assert (
-        str(caught.value)
-        == f"{place} already exists; give another folder, or --force to replace it."
-    )
+def test_a_link_is_followed_and_a_mode_is_kept(tmp_path: Path) -> None:
+    (tmp_path / "far").mkdir()
+    real, link, dangling = tmp_path / "far" / "a", tmp_path / "link", tmp_path / "dangling"
+    write_text(real, "old")
+    real.chmod(0o640)
+    link.symlink_to(real)
+    dangling.symlink_to(tmp_path / "far" / "b")
+    for path in (link, dangling):
+        refuse_unwritable(path)
+        write_text(path, "new")
+        assert path.is_symlink()
+    assert (real.read_text(), (tmp_path / "far" / "b").read_text()) == ("new", "new")
+    assert stat.S_IMODE(real.stat().st_mode) == 0o640
+    assert names(tmp_path / "far") == ["a", "b"]
 
 
-def make_folder(place: Path, kind: str = "models") -> Path:
-    """Make a folder with one file."""
-    with new_folder(place, kind, force=False) as folder:
-        (folder / "old").write_text("old")
-    return place
+def test_a_protected_file_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    path = tmp_path / "a"
+    write_text(path, "old")
+    # A test that runs as root has every permission.
+    monkeypatch.setattr(os, "access", lambda which, mode: (which, mode) != (path, os.W_OK))
+    for write in (refuse_unwritable, lambda where: write_text(where, "new")):
+        with pytest.raises(CdcsrError, match="is protected against writing"):
+            write(path)
+    assert path.read_text() == "old"
 
 
-def test_force_replaces_the_whole_folder(tmp_path: Path) -> None:
-    place = make_folder(tmp_path / "out")
-    with new_folder(place, "models", force=True) as folder:
-        (folder / "new").write_text("new")
-        assert names(place) == [".cdcsr", "old"]
-    assert names(place) == [".cdcsr", "new"]
-    assert names(tmp_path) == ["out"]
+@pytest.mark.parametrize("kind", ["long", "circle", "under a file"])
+def test_a_path_that_cannot_be_is_refused_in_one_line(tmp_path: Path, kind: str) -> None:
+    (tmp_path / "circle").symlink_to(tmp_path / "circle")
+    (tmp_path / "file").touch()
+    bad = {"long": "x" * 256, "circle": "circle", "under a file": "file/x/y"}[kind]
+    for write in (refuse_unwritable, lambda where: write_text(where, "new")):
+        with pytest.raises(CdcsrError, match=r"^Cannot write "):
+            write(tmp_path / bad)
+    assert names(tmp_path) == ["circle", "file"]
 
 
-def test_force_replaces_an_empty_folder(tmp_path: Path) -> None:
-    (tmp_path / "out").mkdir()
-    with new_folder(tmp_path / "out", "models", force=True) as folder:
-        (folder / "new").write_text("new")
-    assert names(tmp_path / "out") == [".cdcsr", "new"]
-
-
-def test_force_replaces_no_folder_of_another_kind(tmp_path: Path) -> None:
-    other = make_folder(tmp_path / "out", "a report")
-    with (
-        pytest.raises(CdcsrError, match="holds a report, not models, and is not replaced"),
-        new_folder(other, "models", force=True),
-    ):
-        pytest.fail("the block must not run")
-    (tmp_path / "mine").mkdir()
-    for hidden in (".git", "thesis.tex"):  # hidden files are precious, too
-        (tmp_path / "mine" / hidden).write_text("precious")
-        with (
-            pytest.raises(CdcsrError, match="holds files that this command did not make"),
-            new_folder(tmp_path / "mine", "models", force=True),
-        ):
-            pytest.fail("the block must not run")
-    assert names(other) == [".cdcsr", "old"]
-    assert names(tmp_path / "mine") == [".git", "thesis.tex"]
-
-
-def test_a_failure_under_force_keeps_the_old_folder(tmp_path: Path) -> None:
-    place = make_folder(tmp_path / "out")
-    with pytest.raises(KeyboardInterrupt):
-        fill_and_fail(place, KeyboardInterrupt, force=True)
-    assert names(place) == [".cdcsr", "old"]
-    assert names(tmp_path) == ["out"]
-
-
-def test_force_replaces_neither_a_file_nor_the_current_folder(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    (tmp_path / "file").write_text("")
-    with (
-        pytest.raises(CdcsrError, match="is a file"),
-        new_folder(tmp_path / "file", "models", force=True),
-    ):
-        pytest.fail("the block must not run")
-    (tmp_path / "here").mkdir()
-    monkeypatch.chdir(tmp_path / "here")
-    for place in (Path(), tmp_path):
-        with (
-            pytest.raises(CdcsrError, match="holds the current folder"),
-            new_folder(place, "models", force=True),
-        ):
-            pytest.fail("the block must not run")
-
-
-WORK = WorkingFolder("a search", "record.json", frozenset({"rounds"}), ("table.csv", "sub/*.bin"))
-
-
-def test_a_working_folder_is_new_or_resumed_and_locked_meanwhile(tmp_path: Path) -> None:
-    folder, identity = tmp_path / "new" / "work", {"rounds": 3, "robot": {"name": "paper"}}
-    with WORK.claim(folder, identity):
-        assert names(folder) == [".lock", "record.json"]
-        (folder / "table.csv").write_text("1")
-        with pytest.raises(Busy), WORK.claim(folder, identity):
-            pytest.fail("the block must not run")
-    assert json.loads((folder / "record.json").read_text()) == identity
-    (folder / ".left-by-a-killed-process").touch()
-    with WORK.claim(folder, identity):
-        assert (folder / "table.csv").read_text() == "1"
-
-
-def test_other_work_is_refused_by_the_names_of_what_differs(tmp_path: Path) -> None:
-    with WORK.claim(tmp_path, {"rounds": 3, "robot": {"name": "paper"}, "seed": 1}):
-        (tmp_path / "table.csv").write_text("1")
-    asked = {"rounds": 3, "robot": {"name": "other"}, "seed": 2}
-    with (
-        pytest.raises(CdcsrError, match=r"a search with other options \(robot\.name, seed\)"),
-        WORK.claim(tmp_path, asked),
-    ):
-        pytest.fail("the block must not run")
-    assert (tmp_path / "table.csv").read_text() == "1"
-
-
-def test_an_older_record_is_translated_before_it_is_compared(tmp_path: Path) -> None:
-    def older(record: dict[str, object]) -> dict[str, object]:
-        return {"seed": 1, **record}
-
-    with WORK.claim(tmp_path, {"rounds": 3}):
-        pass
-    WORK.check(tmp_path, {"rounds": 3, "seed": 1}, older=older)
-    with pytest.raises(CdcsrError, match=r"other options \(seed\)"):
-        WORK.check(tmp_path, {"rounds": 3, "seed": 2}, older=older)
-
-
-def test_force_begins_anew_and_deletes_only_results(tmp_path: Path) -> None:
-    with WORK.claim(tmp_path, {"rounds": 3}):
-        (tmp_path / "sub").mkdir()
-        for name in ("table.csv", "sub/a.bin", "sub/notes", "notes"):
-            (tmp_path / name).touch()
-    with WORK.claim(tmp_path, {"rounds": 4}, force=True):
-        assert names(tmp_path) == [".lock", "notes", "record.json", "sub"]
-        assert names(tmp_path / "sub") == ["notes"]
-    assert json.loads((tmp_path / "record.json").read_text()) == {"rounds": 4}
-
-
-@pytest.mark.parametrize("force", [False, True])
-@pytest.mark.parametrize("record", [None, "{}", "[]", "{"])
-def test_a_folder_of_something_else_is_never_claimed(
-    tmp_path: Path, record: str | None, force: bool
-) -> None:
-    (tmp_path / "table.csv").write_text("precious")
-    if record is not None:
-        (tmp_path / "record.json").write_text(record)
-    before = names(tmp_path)
-    with (
-        pytest.raises(CdcsrError, match=r"is not a search|cannot be read"),
-        WORK.claim(tmp_path, {"rounds": 3}, force=force),
-    ):
-        pytest.fail("the block must not run")
-    assert names(tmp_path) == before
-    with (
-        pytest.raises(CdcsrError, match="is not a search"),
-        WORK.claim(tmp_path / "table.csv", {"rounds": 3}, force=force),
-    ):
-        pytest.fail("the block must not run")
-
-
-def test_work_without_an_identity_is_resumed_as_it_is(tmp_path: Path) -> None:
-    kind = WorkingFolder("a demo", "record.json")
-    with kind.claim(tmp_path):
-        assert json.loads((tmp_path / "record.json").read_text()) == {}
-        write_json(tmp_path / "record.json", {"done": 1})
-    with kind.claim(tmp_path):
-        assert json.loads((tmp_path / "record.json").read_text()) == {"done": 1}
+def test_what_dead_processes_left_is_swept_and_nothing_else(tmp_path: Path) -> None:
+    alive, dead = temporary_beside(tmp_path / "a"), temporary_beside(tmp_path / "a")
+    reused = dead.with_name(dead.name.replace(f"-{os.getpid()}-", f"-{os.getpid()}-1"))
+    dead = dead.with_name(dead.name.replace(f"-{os.getpid()}-", f"-{2**22 + 1}-"))
+    machine = dead.name.split("-")[1]
+    elsewhere = dead.with_name(dead.name.replace(machine, "0" * 8))
+    for path in (alive, elsewhere, tmp_path / ".cdcsr-notes"):
+        path.touch()
+    for path in (dead, reused):
+        path.mkdir()
+        (path / "part").touch()
+    sweep(tmp_path)
+    assert names(tmp_path) == sorted([alive.name, elsewhere.name, ".cdcsr-notes"])
+    sweep(tmp_path / "no folder")

@@ -24,7 +24,8 @@ def build_model(
     """
     from backends.export.model_files import exporter_names, write_model
     from backends.export.summary import show, summarize
-    from cdcsr.files import new_folder, write_json
+    from cdcsr.files import write_json
+    from cdcsr.folders import new_folder
     from cdcsr.robot.description import load_robot
     from cdcsr.simulation.engines import chosen_backends, engine_title
 

@@ -10,7 +10,8 @@ from pathlib import Path
 import numpy as np
 import torch
 
-from cdcsr.files import WorkingFolder, read_json, write_json, write_text
+from cdcsr.files import read_json, write_json, write_text
+from cdcsr.folders import WorkingFolder
 from cdcsr.robot.description import load_robot
 from cdcsr.simulation.engines import backend_names, engine_title
 from controllers.jacobian import JacobianController

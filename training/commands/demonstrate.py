@@ -39,7 +39,8 @@ def demonstrate(
     """
     from cdcsr.envs.gym_env import TaskVectorEnv
     from cdcsr.errors import CdcsrError
-    from cdcsr.files import new_folder, write_json
+    from cdcsr.files import write_json
+    from cdcsr.folders import new_folder
     from controllers import demonstrations
     from controllers.jacobian import JacobianController
 

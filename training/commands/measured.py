@@ -25,7 +25,7 @@ def report_cells(
     task: str,
 ) -> None:
     """Measure controllers, print the table, write the JSON file and draw the picture."""
-    from cdcsr.files import write_json
+    from cdcsr.files import refuse_unwritable, write_json
     from cdcsr.simulation.engines import chosen_backends
     from training.config.seeds import TEST_SEED
     from training.measure.transfer_matrix import disagreements, format_table, other_targets
@@ -35,6 +35,8 @@ def report_cells(
         rate = f"{cell.result.rate:.2f}"
         print(f"{cell.controller} in {cell.backend}, {cell.space}: {rate}", flush=True)
 
+    if plot is not None:
+        refuse_unwritable(plot)
     backends, seed = chosen_backends(backend), TEST_SEED if seed is None else seed
     cells = measure(
         controllers, robot, backends, spaces, episodes, seed, disturbances, task, progress

@@ -35,7 +35,7 @@ def parity(
     from backends.parity.report import measure, show
     from backends.parity.trajectories import random_commands
     from cdcsr.errors import CdcsrError, CheckFailed
-    from cdcsr.files import write_json
+    from cdcsr.files import refuse_unwritable, write_json
     from cdcsr.robot.description import load_robot
     from cdcsr.simulation.engines import (
         backend_names,
@@ -49,6 +49,8 @@ def parity(
         raise CdcsrError(f"episodes must be at least 1, not {episodes}.")
     if seed < 0:
         raise CdcsrError(f"seed must not be negative, found {seed}.")
+    if plot is not None:
+        refuse_unwritable(plot / "figure.png")
     description = load_robot(robot)
     names = dict.fromkeys([reference, *chosen_backends(backend)])
     engines = {name: engine_factory(name) for name in names}

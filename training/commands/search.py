@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple, TypedDict
 
-from cdcsr.files import WorkingFolder
+from cdcsr.folders import WorkingFolder
 
 if TYPE_CHECKING:
     import numpy as np

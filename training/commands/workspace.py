@@ -30,7 +30,7 @@ def workspace(
         json: also write the summary to this file.
     """
     from cdcsr.errors import CdcsrError
-    from cdcsr.files import write_json
+    from cdcsr.files import refuse_unwritable, write_json
     from cdcsr.robot.description import load_robot
     from controllers.workspace import compute_workspace, draw_workspace
 
@@ -40,6 +40,9 @@ def workspace(
         raise CdcsrError(f"The picture of a map is a .png file, not {plot.name!r}.")
     if not spacing > 0:
         raise CdcsrError(f"spacing must be positive, not {spacing:g}.")
+    for path in (out, plot):
+        if path is not None:
+            refuse_unwritable(path)
     description = load_robot(robot)
     counts = {"tried": 0, "reached": 0}
 

@@ -6,7 +6,7 @@ from dataclasses import dataclass, fields
 from pathlib import Path
 
 from cdcsr.errors import CdcsrError
-from cdcsr.files import WorkingFolder
+from cdcsr.folders import WorkingFolder
 from training.algorithms.registry import differences, numbers_of, own_numbers
 from training.config.learner import Cloning, Network
 from training.config.run_description import RENAMED, Changes, RunDescription

@@ -7,8 +7,6 @@ from __future__ import annotations
 
 import json
 import os
-import shutil
-import signal
 import subprocess
 import sys
 import threading
@@ -21,6 +19,7 @@ from typing import IO, TYPE_CHECKING, cast
 from cdcsr.cli import run
 from cdcsr.errors import CdcsrError, unknown_choice
 from cdcsr.files import write_bytes, write_json
+from cdcsr.leftovers import sweep
 from cdcsr.locks import lock
 from training.config.run_description import RunDescription
 from training.study.declare.budgets import Budget
@@ -189,7 +188,7 @@ def _work(job: Job, missing: list[str], out: Path, folder: Path) -> None:
 
     torch.set_num_threads(1)
     spec, card = job.spec, {}
-    _sweep(folder)
+    sweep(folder)
     if spec.trains:
         finished = (out / SUMMARY).is_file()
         policy = _train(job, out)
@@ -245,12 +244,6 @@ def _train(job: Job, out: Path) -> Policy:
     return train(train_options(job.spec, out, evaluate_every=every, evaluate_episodes=episodes))
 
 
-def _sweep(folder: Path) -> None:
-    """Delete files that a killed process had not finished writing."""
-    for path in folder.glob(".*"):
-        shutil.rmtree(path) if path.is_dir() else path.unlink()
-
-
 def _record(job: Job, subject: Subject, card: Mapping[str, object]) -> dict[str, object]:
     from training.algorithms.registry import numbers_of
     from training.policy import versions
@@ -298,8 +291,6 @@ def do_job(
         results: working folder of the results.
         until_stdin_ends: end at once when standard input ends, as when the executor has died.
     """
-    # An exit instead of the signal's default releases the lock on the way out.
-    signal.signal(signal.SIGTERM, lambda *_: sys.exit(128 + signal.SIGTERM))
     if until_stdin_ends:
         threading.Thread(target=_end_with_stdin, daemon=True).start()
     carry_out(Job.from_json(job), runs, results)
