@@ -48,9 +48,11 @@ class RunDescription:
     """Domain randomization: every training episode has a plant of its own, drawn from the ranges of
     `cdcsr.simulation.randomization` times this scale; 0 is off."""
     demonstrations: Path | None = None
-    """A dataset from `cdcsr demonstrate`; by default demonstrations are recorded, with seed 0."""
+    """A dataset from `cdcsr demonstrate`; by default demonstrations are recorded."""
     num_demonstrations: int = 10
     """How many demonstrations are recorded if no dataset is given."""
+    demonstration_seed: int = 0
+    """Seed of the targets of the demonstrations that are recorded if no dataset is given."""
     seed: int = 0
     """Seed of everything random in the run but the demonstrations."""
     updates: Suppress[int] = 0
@@ -66,6 +68,11 @@ class RunDescription:
         if self.seed in EVALUATION_SEEDS:
             what = EVALUATION_SEEDS[self.seed]
             raise CdcsrError(f"seed {self.seed} draws the {what}; give another seed.")
+        if self.demonstration_seed < 0 or self.demonstration_seed in EVALUATION_SEEDS:
+            raise CdcsrError(
+                "demonstration_seed must not be negative and not draw evaluation targets "
+                f"({', '.join(map(str, EVALUATION_SEEDS))}), found {self.demonstration_seed}."
+            )
         if self.num_demonstrations < 0:
             raise CdcsrError(
                 f"num_demonstrations must not be negative, found {self.num_demonstrations}."
@@ -88,6 +95,8 @@ class RunDescription:
             f"u{self.updates}",
             f"s{self.seed}",
         ]
+        if self.demonstration_seed:
+            parts.append(f"e{self.demonstration_seed}")
         if self.task != "reach":
             parts.append(self.task)
         if self.randomize:

@@ -91,18 +91,18 @@ class Setup:
 
     @cached_property
     def episodes(self) -> list[Episode]:
-        """The demonstrations: those of the dataset, or recorded now, with seed 0."""
+        """The demonstrations: those of the dataset, or recorded now."""
         config = self.config
         if config.demonstrations is not None:
             return demonstrations.load(
                 config.demonstrations, self.robot.fingerprint, config.frame_skip, config.task
             )
-        num = config.num_demonstrations
-        print(f"Recording {num} demonstrations in {config.backend} (seed 0)", flush=True)
+        num, seed = config.num_demonstrations, config.demonstration_seed
+        print(f"Recording {num} demonstrations in {config.backend} (seed {seed})", flush=True)
         space = demonstration_space(config.space)
         env = self.environment(num, space, centers=None, autoreset_mode="Disabled")
         try:
-            return demonstrations.record(JacobianController(self.robot), env, num, seed=0)[0]
+            return demonstrations.record(JacobianController(self.robot), env, num, seed)[0]
         finally:
             env.close()
 
