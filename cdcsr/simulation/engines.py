@@ -19,6 +19,9 @@ from cdcsr.robot.description import Robot
 from cdcsr.simulation.contract import EngineOptions, Simulation
 
 _GROUP = "cdcsr.backends"
+_FORMER = {"pybullet-former": "PyBullet (former kernel)"}
+"""Titles of engines that are gone; stored results still name them. In this one the project's own
+kernel found the accelerations, and Bullet was given the forces that reproduce them."""
 
 
 @cache
@@ -43,10 +46,10 @@ def load_backend(name: str) -> type[Simulation]:
 
 
 def engine_title(name: str) -> str:
-    """Return an engine's title, or the name itself if no such engine is installed."""
+    """Return an engine's title, or the name itself if no such engine was ever known."""
     bare, _, options = name.partition(":")
     if bare not in backend_names():
-        return name
+        return _FORMER.get(name, name)
     return load_backend(name).title + (f" ({options.replace(',', ', ')})" if options else "")
 
 

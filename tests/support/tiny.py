@@ -25,7 +25,7 @@ TINY = {"batch_size": 32, "bc_rollouts": 4, "bc_updates": 100, "hidden": (16, 16
 """Numbers that make learning take seconds."""
 CENTERS = np.array([[0.1, 0.2, 2.4]])
 """The targets of the demonstrations of `untrained_policy`; no other policy has them."""
-TINY_BUDGET = Budget("tiny", 1, 60, 60, 2, 20, 2)
+TINY_BUDGET = Budget("tiny", 1, 1, 60, 60, 2, 20, 2)
 
 
 def tiny_job(

@@ -158,10 +158,6 @@ AXES: dict[str, Axis] = {
 }
 """Every kind of model error, by name."""
 
-RETIRED_AXES = ("cable_softness", "engine_defaults")
-"""Axes that are no longer measured, as an engine's name says its settings now. Results of earlier
-versions have rows of them."""
-
 
 def find_axes(names: tuple[str, ...]) -> list[Axis]:
     """Return the axes of some names; "all" stands for all axes.

@@ -13,6 +13,8 @@ class Budget:
 
     name: str
     seeds: int
+    own_seeds: int
+    """Seeds of a run that has demonstrations of its own."""
     updates: int
     """Updates of a run with the preset `tuned`."""
     paper_updates: int
@@ -32,8 +34,8 @@ class Budget:
 BUDGETS = {
     budget.name: budget
     for budget in (
-        Budget("quick", 1, 1_500, 1_500, 20, 500, 20),
-        Budget("standard", 3, 6_000, 20_000, 100, 750, 100),
-        Budget("paper", 5, 12_000, 100_000, 100, 1_000, 100),
+        Budget("quick", 1, 1, 1_500, 1_500, 20, 500, 20),
+        Budget("standard", 3, 5, 6_000, 20_000, 100, 750, 100),
+        Budget("paper", 5, 5, 12_000, 100_000, 100, 1_000, 100),
     )
 }

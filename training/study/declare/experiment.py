@@ -17,8 +17,8 @@ class Cell:
     evaluations: tuple[str, ...]
     length: int
     """Length of training, as a multiple of the budget's."""
-    every_engine: bool = False
-    """Train once in each installed engine, instead of in the run's own."""
+    own_demonstrations: bool = False
+    """Each seed records demonstrations of its own, instead of sharing those of seed 0."""
 
 
 @dataclass(frozen=True)
@@ -35,7 +35,8 @@ def trained(
     space: str,
     *evaluations: str,
     length: int = 1,
-    every_engine: bool = False,
+    backend: str = "mujoco",
+    own_demonstrations: bool = False,
     task: str = "reach",
     preset: PresetName = "tuned",
     changes: Changes = (),
@@ -46,13 +47,14 @@ def trained(
     spec = RunDescription(
         algorithm=algorithm,
         preset=preset,
+        backend=backend,
         space=space,
         task=task,
         num_demonstrations=demonstrations,
         randomize=randomize,
         changes=changes,
     )
-    return Cell(spec, evaluations or ("nominal",), length, every_engine)
+    return Cell(spec, evaluations or ("nominal",), length, own_demonstrations)
 
 
 def untrained(name: str, *evaluations: str, task: str = "reach", space: str = "anchor") -> Cell:

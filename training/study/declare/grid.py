@@ -7,11 +7,10 @@ from dataclasses import replace
 from itertools import product
 
 from cdcsr.errors import CdcsrError, unknown_choice
-from cdcsr.simulation.engines import backend_names
 from training.algorithms.registry import ALGORITHMS
 from training.config.run_description import NEAREST, SCRIPTED, RunDescription
 from training.study.declare.budgets import Budget
-from training.study.declare.experiment import Experiment, trained, untrained
+from training.study.declare.experiment import Cell, Experiment, trained, untrained
 from training.study.declare.learner_changes import (
     FASTER,
     HARDER_VARIANTS,
@@ -49,6 +48,17 @@ HARDER = ("capture", "follow-random")
 """Tasks in which the tip must stay on the target. In Anchor Space."""
 MOVING = ("capture-drift", "capture-tumble")
 """Tasks in which the target moves. In Anchor Space."""
+TRANSFERRED = (
+    (OURS, "mujoco", "spatter", "reach", 0.0),
+    ("bc", "mujoco", "spatter", "reach", 0.0),
+    (OURS, "mujoco", "spatter", "reach", 1.0),
+    (OURS, "pybullet", "spatter", "reach", 0.0),
+    ("batd3", "mujoco", "spatter", "reach", 0.0),
+    ("bc", "mujoco", "anchor", "capture", 0.0),
+    (OURS, "mujoco", "anchor", "capture", 0.0),
+)
+"""The recipes whose transfer is measured: algorithm, engine of training, space, task, scale of
+domain randomization."""
 
 
 EXPERIMENTS = {
@@ -106,14 +116,18 @@ EXPERIMENTS = {
         ],
     ),
     "transfer": Experiment(
-        "Every method trained in each engine, tested in all.",
+        "Five seeds, each with demonstrations of its own: trained in one engine, tested in all.",
         [
-            untrained(SCRIPTED),
-            *(trained(name, space, every_engine=True) for space, name in product(SPACES, METHODS)),
-            *(
-                trained(name, space, every_engine=True, task=task)
-                for (task, space), name in product(TASKS, TASK_METHODS)
-            ),
+            trained(
+                name,
+                space,
+                "engines",
+                backend=backend,
+                task=task,
+                randomize=scale,
+                own_demonstrations=True,
+            )
+            for name, backend, space, task, scale in TRANSFERRED
         ],
     ),
     "plants": Experiment(
@@ -286,13 +300,19 @@ def collect(
             raise CdcsrError(unknown_choice("experiment", experiment, EXPERIMENTS))
         for cell in EXPERIMENTS[experiment].cells:
             updates = cell.length * budget.length(cell.spec.preset)
-            engines = backend_names() if cell.every_engine else [cell.spec.backend]
-            seeds = range(budget.seeds if cell.spec.trains else 1)
-            for engine, seed in product(engines, seeds):
-                spec = replace(cell.spec, backend=engine, seed=seed, updates=updates)
+            for seed in _seeds(cell, budget):
+                own = seed if cell.own_demonstrations else cell.spec.demonstration_seed
+                spec = replace(cell.spec, seed=seed, updates=updates, demonstration_seed=own)
                 _, before = runs.get(spec.name, (spec, ()))
                 runs[spec.name] = spec, tuple(dict.fromkeys((*before, *cell.evaluations)))
     return dict(sorted(runs.items(), key=lambda item: item[1][0].seed))
+
+
+def _seeds(cell: Cell, budget: Budget) -> range:
+    """Return the seeds of a cell. Demonstrations of seed 0 belong to all other runs."""
+    if cell.own_demonstrations:
+        return range(1, budget.own_seeds + 1)
+    return range(budget.seeds if cell.spec.trains else 1)
 
 
 def expected(budget: Budget) -> dict[str, dict[str, tuple[str, ...]]]:

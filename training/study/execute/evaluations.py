@@ -13,7 +13,7 @@ from typing import TypedDict
 from cdcsr.envs.disturbances import Disturbances
 from cdcsr.files import write_text
 from cdcsr.robot.description import Robot
-from cdcsr.simulation.engines import backend_names
+from cdcsr.simulation.engines import backend_names, switched_off
 from controllers.controller import Controller
 from training.config.run_description import RunDescription
 from training.measure.evaluation import Array, Result, evaluate
@@ -121,6 +121,18 @@ def around(subject: Subject, episodes: int) -> Iterator[Row]:
         yield from episode_rows(backend, AROUND, "nominal", 0, result)
 
 
+def engines(subject: Subject, episodes: int) -> Iterator[Row]:
+    """Measure in the space of training: in every engine, and in those that have settings of their
+    own also with one of these as in the description."""
+    space = subject.spec.space
+    for name in backend_names():
+        for backend in (name, *switched_off(name)):
+            result = evaluate(
+                subject.controller, subject.robot, backend, space, episodes, **subject.options
+            )
+            yield from episode_rows(backend, space, "nominal", 0, result)
+
+
 def disturbances(subject: Subject, episodes: int) -> Iterator[Row]:
     """Measure under one disturbance at a time, in engine and space of training (Table IV)."""
     backend, space = subject.spec.backend, subject.spec.space
@@ -193,6 +205,7 @@ def episode_rows(
 EVALUATIONS: dict[str, Evaluation] = {
     "nominal": Evaluation(EPISODE_COLUMNS, nominal),
     AROUND: Evaluation(EPISODE_COLUMNS, around),
+    "engines": Evaluation(EPISODE_COLUMNS, engines),
     "disturbances": Evaluation(EPISODE_COLUMNS, disturbances),
     "plants": Evaluation(EPISODE_COLUMNS, plants, most=PLANT_EPISODES),
     "follow": Evaluation(FOLLOW_COLUMNS, following, most=FOLLOW_EPISODES),

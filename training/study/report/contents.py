@@ -15,7 +15,7 @@ from training.study.report.beside_paper import (
     beside_table_4,
 )
 from training.study.report.cells import Table
-from training.study.report.engine_differences import differences, stock_settings, tasks, transfer
+from training.study.report.engine_differences import methods, tasks
 from training.study.report.learning_curves import Figures, curve_figures
 from training.study.report.nearness import nearness, nearness_figures
 from training.study.report.plant_plots import follow_figures, plant_figures
@@ -34,7 +34,6 @@ from training.study.report.tables_beyond import (
     presets,
     raised,
     searches,
-    shipped,
 )
 
 PAPER_TABLES: tuple[Callable[[Sequence[Run], Expected | None], Table], ...] = (
@@ -53,15 +52,13 @@ TABLES: tuple[Callable[[Sequence[Run]], Table], ...] = (
     demonstrations,
     generalization,
     robustness,
-    transfer,
+    methods,
     halvings,
     tasks,
     nearness,
-    differences,
-    stock_settings,
 )
 """The other tables of the study's runs."""
-STORED_TABLES: tuple[Callable[[Path], Table], ...] = (searches, shipped)
+STORED_TABLES: tuple[Callable[[Path], Table], ...] = (searches,)
 """Tables of what other commands stored in the folder of the results."""
 FIGURES: tuple[Callable[[Sequence[Run], Path], Figures], ...] = (
     curve_figures,

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from cdcsr.errors import CdcsrError, unknown_choice
-from training.measure.plant_axes import AXES, RETIRED_AXES
+from training.measure.plant_axes import AXES
 from training.measure.statistics import Sweep
 from training.study.report.records import Run
 
@@ -58,7 +58,7 @@ def check_axes(runs: Sequence[Run]) -> None:
     for run in runs:
         if "plants" in run.evaluations:
             for name in np.unique(run.evaluations["plants"].axis):
-                if name not in (*AXES, *RETIRED_AXES, "nominal"):
+                if name not in (*AXES, "nominal"):
                     raise CdcsrError(
                         f"Run {run.name}: " + unknown_choice("axis of the plant", str(name), AXES)
                     )

@@ -13,7 +13,7 @@ import numpy as np
 from cdcsr.simulation.engines import engine_title
 from training.algorithms.registry import algorithm_title
 from training.measure.plant_axes import AXES, Axis
-from training.measure.statistics import Sweep, halving, iqm, over_seeds, pooled
+from training.measure.statistics import Sweep, halving, iqm, over_seeds
 from training.study.declare.learner_changes import GENERAL, OURS, PUT_BACK, RAISED
 from training.study.parquet import read_table
 from training.study.report.cells import COST, TRAINED, Table, Value, cost, measure, trained
@@ -39,8 +39,7 @@ CHANGES_OF_ALL, _PUT_BACK, _RAISED = (
     [tuple(sorted(changes)) for changes in several] for several in (GENERAL, PUT_BACK, RAISED)
 )
 _SEARCHED = ("episode", "reached", "length", "best_reached", "best_length")
-_SWEPT = ("backend", "space", "axis", "level", "success")
-"""Columns of what `cdcsr search` and `cdcsr sweep` stored."""
+"""Columns of what `cdcsr search` stored."""
 
 
 def aggregate(runs: Sequence[Run]) -> Table:
@@ -169,21 +168,3 @@ def searches(results: Path) -> Table:
     head = ("search", "κ before", "length mean", "κ after", "best length mean")
     note = "Means over 100 held-out targets; a failure counts in full."
     return Table("searches", "Searches for better commands", note, head, rows)
-
-
-def shipped(results: Path) -> Table:
-    """Build the table of shipped policies with the engines' stock settings."""
-    data = read_table(results / "sweeps.parquet", ("name", *_SWEPT))
-    rows: list[list[Value]] = []
-    if data:
-        chosen = data["axis"] == "engine_defaults"
-        for name in np.unique(data["name"]):
-            for engine in np.unique(data["backend"]):
-                own = chosen & (data["name"] == name) & (data["backend"] == engine)
-                levels = [own & (data["level"] == level) for level in (0, 1)]
-                if all(one.any() for one in levels):
-                    values = [pooled([data["success"][one] == 1]) for one in levels]
-                    rows.append([str(name), engine_title(str(engine)), *values])
-    head = ("policy", "tested in", "κ agreed", "κ stock")
-    note = "100 held-out targets in Spatter; intervals over episodes."
-    return Table("shipped", "Shipped policies with stock settings", note, head, rows)

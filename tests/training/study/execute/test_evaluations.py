@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from cdcsr.envs.disturbances import Disturbances
 from cdcsr.robot.description import Robot
 from cdcsr.simulation.contract import State
+from cdcsr.simulation.engines import backend_names
 from cdcsr.tasks.spaces import make_space
 from cdcsr.tasks.target_motion import make_motion
 from controllers.controller import Controller, Target
@@ -125,7 +126,7 @@ def test_only_reaching_in_a_space_of_the_paper_is_tested_in_all_of_them(
         row[:2] for row in rows
     }
     assert {row[:2] for row in rows} == {
-        (engine, one) for engine in ("mujoco", "pybullet") for one in spaces
+        (engine, one) for engine in backend_names() for one in spaces
     }
     assert {asked["task"] for asked in measured.asked} == {task}
 
@@ -166,9 +167,7 @@ def test_following_is_of_the_policy_in_its_space_and_read_as_it_was(
     EVALUATIONS["follow"].write(tmp_path / "follow.csv", subject, 100)
     columns = read_csv(tmp_path / "follow.csv", FOLLOW_KINDS)
     motions = [
-        (engine, motion)
-        for engine in ("mujoco", "pybullet")
-        for motion in ("line", "circle", "random")
+        (engine, motion) for engine in backend_names() for motion in ("line", "circle", "random")
     ]
     assert [(one["backend"], one["motion"]) for one in asked] == motions
     assert [*zip(columns["backend"].tolist(), columns["motion"].tolist(), strict=True)] == motions
@@ -237,3 +236,16 @@ def test_following_starts_at_the_held_out_targets_and_tells_each_error_by_its_na
         angle = 2 * np.arccos(np.minimum(np.abs(quaternion[:, 0]), 1))
         np.testing.assert_allclose([r.base_attitude_error for r in rows], angle, rtol=1e-4)
         assert angle.min() > 1e-3
+
+
+@pytest.mark.usefixtures("measured")
+def test_transfer_is_measured_in_every_engine_and_with_its_settings_put_back(
+    policy: Policy,
+) -> None:
+    subject = Subject(RunDescription(algorithm="batd3", space="spatter"), policy, policy.robot)
+    rows = list(EVALUATIONS["engines"].measure(subject, 1))
+    assert {row[1] for row in rows} == {"spatter"}
+    names = [row[0] for row in rows]
+    assert set(backend_names()) <= set(names)
+    assert {"pybullet-stock:damping=0"} < {*names}
+    assert len(names) == len(set(names))

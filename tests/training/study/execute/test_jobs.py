@@ -17,6 +17,7 @@ from pathlib import Path
 import pytest
 
 from cdcsr.locks import lock
+from cdcsr.simulation.engines import backend_names
 from tests.support.tiny import TINY_BUDGET, is_held, tiny_job
 from training.config.run_description import SCRIPTED, RunDescription
 from training.policy import load_policy
@@ -173,12 +174,14 @@ def test_two_jobs_side_by_side_and_one_that_fails(
     cells = Counter((row["backend"], row["space"]) for row in rows)
     assert set(cells.values()) == {2}
     assert set(cells) == {
-        (b, s) for b in ("mujoco", "pybullet") for s in ("anchor", "floating", "spatter")
+        (b, s) for b in backend_names() for s in ("anchor", "floating", "spatter")
     }
     with (folder / "follow.csv").open() as file:
         follows = list(csv.DictReader(file))
     assert tuple(follows[0]) == FOLLOW_COLUMNS
-    assert len(follows) == 2 * 3 * 2 * 40  # engines, motions, episodes, samples of each
+    assert (
+        len(follows) == len(backend_names()) * 3 * 2 * 40
+    )  # engines, motions, episodes, samples of each
 
 
 @pytest.mark.slow

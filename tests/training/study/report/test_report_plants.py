@@ -9,53 +9,17 @@ import pytest
 from cdcsr.errors import CdcsrError
 from tests.support.small_study import find, nominal, write_csv, write_run
 from training.report import report
-from training.study.report.engine_differences import differences, transfer
+from training.study.report.engine_differences import methods
 from training.study.report.plant_sweeps import sweeps
 from training.study.report.records import load_study
 from training.study.report.tables_beyond import halvings
 
 
-def test_transfer_counts_paired_disagreements(study: Path) -> None:
-    row = find(transfer(load_study(study)), space="Anchor", algorithm="BATD3")
+def test_methods_show_success_in_each_engine(study: Path) -> None:
+    row = find(methods(load_study(study)), space="Anchor", algorithm="BATD3")
     # 1111 and 1110; 1110 and 1110; 1000 and 0001.
-    assert row["only MuJoCo / only PyBullet"] == "2 / 1 of 12"
+    assert row["κ in MuJoCo"].value == pytest.approx((1 + 0.75 + 0.25) / 3)
     assert row["κ in PyBullet"].value == pytest.approx((0.75 + 0.75 + 0.25) / 3)
-
-
-def test_where_engines_differ_is_counted_by_what_is_wrong_with_the_plant(tmp_path: Path) -> None:
-    both = [nominal("1101"), nominal("1011", backend="pybullet"), nominal("1111", "floating")]
-    plants = [
-        (engine, "anchor", axis, level, outcomes)
-        for axis, level, outcomes in (
-            ("link_mass", 1, "10"),
-            ("link_mass", 2, "11"),
-            ("engine_defaults", 1, "10"),
-        )
-        for engine, outcomes in (("mujoco", outcomes), ("pybullet", "01"))
-    ]
-    write_run(
-        tmp_path,
-        "one",
-        {"nominal": both, "plants": [*plants, ("mujoco", "anchor", "link_mass", 3, "11")]},
-    )
-    found = {row[0]: row[1:] for row in differences(load_study(tmp_path)).rows}
-    assert found["as described"] == [
-        1,
-        4,
-        2,
-        1,
-        1,
-        "`one`, anchor, 1, 2",
-    ]  # floating was not run in PyBullet
-    assert found["link mass [factor]"] == [
-        1,
-        2,
-        1,
-        1,
-        0,
-        "-",
-    ]  # at 2: at 1 it is as described, at 3 in one engine
-    assert not any("engine" in str(plant) for plant in found)  # it has a table of its own
 
 
 def test_halving_levels(study: Path) -> None:

@@ -12,8 +12,8 @@ import pytest
 from tests.support.small_study import beside_paper, find, nominal, shown, write_run
 from training.measure.statistics import Estimate
 from training.study.report.cells import measure
+from training.study.report.engine_differences import methods as between_engines
 from training.study.report.engine_differences import tasks
-from training.study.report.engine_differences import transfer as between_engines
 from training.study.report.records import load_study
 from training.study.report.table_parts import engines_of
 from training.study.report.tables import (

@@ -9,7 +9,7 @@ import numpy as np
 
 from tests.support.small_study import find, nominal, shown, write_run
 from training.measure.statistics import Sweep, halving
-from training.study.report.engine_differences import differences, tasks
+from training.study.report.engine_differences import tasks
 from training.study.report.records import load_study
 from training.study.report.tables import (
     comparison,
@@ -120,13 +120,3 @@ def test_down_to_exactly_half_is_half() -> None:
     found = halving([Sweep(np.array([1.0, 2.0]), np.array(outcomes))], 1.0, "above")
     assert found is not None
     assert found.level == 2
-
-
-def test_episodes_all_around_the_arm_are_compared_too_and_each_run_counts_once(
-    tmp_path: Path,
-) -> None:
-    around = [nominal("110", "workspace"), nominal("011", "workspace", "pybullet")]
-    both = [nominal("11"), nominal("10", backend="pybullet")]
-    write_run(tmp_path, "one", {"nominal": both, "workspace": around})
-    found = {row[0]: row[1:] for row in differences(load_study(tmp_path)).rows}
-    assert found["as described"] == [1, 5, 3, 2, 1, "`one`, anchor, 1; `one`, workspace, 0, 2"]
