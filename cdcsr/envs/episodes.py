@@ -21,25 +21,36 @@ class Episodes:
         num: how many copies.
         task: what is judged, and how targets move.
         space: where targets are drawn.
+        drifts: whether targets may drift with the robot, in addition to their own motion.
 
     Attributes:
         space: where targets are drawn.
         targets: shape (num, 3), in [m].
         target_velocity: shape (num, 3), in [m/s].
+        drift: the part of it that the robot shares from the start, shape (num, 3), in [m/s].
         actions_taken: shape (num,).
         counts: what the task counts.
     """
 
-    def __init__(self, num: int, task: Task, space: Space) -> None:
+    def __init__(self, num: int, task: Task, space: Space, drifts: bool = False) -> None:
         self.space, self._task = space, task
         self._motion, self._moving = make_motion(task.motion), task.motion != "rest"
         self._motion_memory = np.zeros((num, self._motion.size))
-        self.targets, self.target_velocity = np.zeros((2, num, 3))
+        self.targets, self.target_velocity, self.drift = np.zeros((3, num, 3))
+        # Targets move in a frame that drifts; without drift it is the world.
+        self._drifts = drifts
+        self._place, self._velocity = self.targets, self.target_velocity
+        if drifts:
+            self._place, self._velocity = np.zeros((2, num, 3))
         self.actions_taken = np.zeros(num, dtype=np.int64)
         self.counts = task.new_counts(num)
 
     def begin(
-        self, ids: NDArray[np.int64], rng: np.random.Generator, targets: Array | None = None
+        self,
+        ids: NDArray[np.int64],
+        rng: np.random.Generator,
+        targets: Array | None = None,
+        drift: Array | None = None,
     ) -> None:
         """Begin new episodes of the copies `ids`.
 
@@ -47,23 +58,29 @@ class Episodes:
             ids: which copies.
             rng: draws the targets, then how they move.
             targets: shape (num, 3), in [m]; where the targets begin, instead of drawing that.
+            drift: of the episodes that begin, shape (len(ids), 3), in [m/s].
         """
-        self.targets[ids] = self.space.sample(rng, len(ids)) if targets is None else targets[ids]
+        self._place[ids] = self.space.sample(rng, len(ids)) if targets is None else targets[ids]
         if self._moving:
-            begun = self._motion.begin(rng, self.targets[ids])
-            self.target_velocity[ids], self._motion_memory[ids] = begun
+            begun = self._motion.begin(rng, self._place[ids])
+            self._velocity[ids], self._motion_memory[ids] = begun
         self.actions_taken[ids] = 0
         for count in self.counts.values():
             count[ids] = 0
+        if drift is not None:
+            self.drift[ids], self.targets[ids] = drift, self._place[ids]
+            self.target_velocity[ids] = self._velocity[ids] + drift
 
     def advance(self, steps: int, time_step: float) -> None:
         """Count an action, and move the targets on by `steps` steps of `time_step` seconds."""
         if self._moving:
             for _ in range(steps):
-                self._motion.advance(
-                    self.targets, self.target_velocity, self._motion_memory, time_step
-                )
+                self._motion.advance(self._place, self._velocity, self._motion_memory, time_step)
         self.actions_taken += 1
+        if self._drifts:
+            time = self.actions_taken * (steps * time_step)
+            self.targets[:] = self._place + self.drift * time[:, None]
+            self.target_velocity[:] = self._velocity + self.drift
 
     def judge(self, state: State, count: bool = True) -> tuple[Array, Verdict]:
         """Return the distances from tip to target, shape (num,), in [m], and the task's verdict.
@@ -84,5 +101,10 @@ class Episodes:
             "target_velocity": self.target_velocity,
             "motion": self._motion_memory,
             "actions_taken": self.actions_taken,
+            **(
+                {"drift": self.drift, "place": self._place, "velocity": self._velocity}
+                if self._drifts
+                else {}
+            ),
             **{f"task.{name}": count for name, count in self.counts.items()},
         }

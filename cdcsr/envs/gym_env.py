@@ -24,6 +24,7 @@ from cdcsr.simulation.randomization import Randomization
 from cdcsr.tasks.catalogue import actions_per_episode, make_task
 from cdcsr.tasks.observation import observation_size, observe
 from cdcsr.tasks.spaces import Space, make_space
+from cdcsr.tasks.starts import Starts
 from cdcsr.tasks.target_motion import MotionName
 from cdcsr.tasks.task import Reward, Task, Verdict
 
@@ -53,7 +54,7 @@ class TaskVectorEnv(VectorEnv[Array, Array, NDArray[np.generic]]):
         robot, backend, space, reward, frame_skip, max_steps, threshold, centers, disturbances:
             see :class:`EnvOptions`.
         autoreset_mode: SAME_STEP or DISABLED.
-        randomization, task, motion, quiet: see :class:`EnvOptions`.
+        randomization, task, motion, quiet, start: see :class:`EnvOptions`.
 
     Attributes:
         task: the task with this environment's numbers, the time between actions among them.
@@ -81,6 +82,7 @@ class TaskVectorEnv(VectorEnv[Array, Array, NDArray[np.generic]]):
         task: str | Task = "reach",
         motion: MotionName | None = None,
         quiet: bool | None = None,
+        start: str | Starts = "still",
     ) -> None:
         check_count("num_envs", num_envs, MOST_COPIES)
         mode = AutoresetMode(autoreset_mode)
@@ -106,12 +108,20 @@ class TaskVectorEnv(VectorEnv[Array, Array, NDArray[np.generic]]):
                 f"there are {num_envs} environments."
             )
         self.max_actions = actions_per_episode(self.task.max_steps, frame_skip)
-        self._episodes = Episodes(num_envs, self.task, make_space(space, self.robot, centers))
+        self._starts = start if isinstance(start, Starts) else Starts(start, self.robot)
+        self.start = self._starts.name
+        if self.task.quiet and self._varies:
+            raise CdcsrError(
+                f"A quiet task measures how far the base is from its start, and with start "
+                f"{self.start!r} it drifts away by itself; choose start 'still'."
+            )
+        space_of_targets = make_space(space, self.robot, centers)
+        self._episodes = Episodes(num_envs, self.task, space_of_targets, self._varies)
         self.simulation = make_simulation(self.robot, backend, num_envs)
         self._set_gym_attributes(num_envs, mode)
         self.randomization = randomization
         self._disturbances = disturbances or Disturbances()
-        self._channel = Channel(self._disturbances, self.np_random)
+        self._spawn()
         self._begun = False
 
     def _set_gym_attributes(self, num_envs: int, mode: AutoresetMode) -> None:
@@ -129,6 +139,17 @@ class TaskVectorEnv(VectorEnv[Array, Array, NDArray[np.generic]]):
         self.action_space = batch_space(self.single_action_space, num_envs)
         self.metadata = {"autoreset_mode": mode, "render_modes": []}
         self._autoreset = mode is AutoresetMode.SAME_STEP
+
+    def _spawn(self) -> None:
+        """Give disturbances and starts random streams of their own, so that targets depend on
+        neither."""
+        self._channel = Channel(self._disturbances, self.np_random)
+        if self._varies:
+            self._start_rng = self.np_random.spawn(1)[0]
+
+    @property
+    def _varies(self) -> bool:
+        return self.start != "still"
 
     @property
     def space(self) -> Space:
@@ -150,6 +171,11 @@ class TaskVectorEnv(VectorEnv[Array, Array, NDArray[np.generic]]):
         return self._episodes.target_velocity
 
     @property
+    def drift(self) -> Array:
+        """The part of that velocity which the robot shares from the start, shape (num_envs, 3)."""
+        return self._episodes.drift
+
+    @property
     def actions_taken(self) -> NDArray[np.int64]:
         """How many actions each episode has had, shape (num_envs,)."""
         return self._episodes.actions_taken
@@ -169,7 +195,7 @@ class TaskVectorEnv(VectorEnv[Array, Array, NDArray[np.generic]]):
             check_count("seed", seed, _MOST_SEED, least=0)
         super().reset(seed=seed)
         if seed is not None:
-            self._channel = Channel(self._disturbances, self.np_random)
+            self._spawn()
         given = read_reset_options(options, targets=(self.num_envs, 3), reset_mask=(self.num_envs,))
         fresh = given.get("reset_mask", np.ones(self.num_envs)).astype(np.bool_)
         if not self._begun and not fresh.all():
@@ -236,6 +262,8 @@ class TaskVectorEnv(VectorEnv[Array, Array, NDArray[np.generic]]):
             drawn = self.randomization.drawn
             state |= {f"plant.{name}": rows.copy() for name, rows in drawn.items()}
             state["plant.generator"] = pack_generator(self.randomization.rng)
+        if self._varies:
+            state["start.generator"] = pack_generator(self._start_rng)
         return state | {"generator": pack_generator(self.np_random)}
 
     def set_state(self, state: Mapping[str, NDArray[Any]]) -> None:
@@ -255,16 +283,24 @@ class TaskVectorEnv(VectorEnv[Array, Array, NDArray[np.generic]]):
         self.simulation.set_snapshot(
             Snapshot(self.simulation.engine, self.robot.fingerprint, **arrays, commands=commands)
         )
+        if self._varies:
+            unpack_generator(self._start_rng, state["start.generator"])
         unpack_generator(self.np_random, state["generator"])
         self._begun = True
 
     def _begin(self, fresh: Mask, targets: Array | None) -> Array:
         """Begin episodes where `fresh`, and return the observations of all copies."""
         ids = np.flatnonzero(fresh)
-        self._episodes.begin(ids, self.np_random, targets)
+        start = self._starts.draw(self._start_rng, len(ids)) if self._varies else None
+        self._episodes.begin(ids, self.np_random, targets, start.drift if start else None)
         if self.randomization is not None:
             self.randomization.begin(self.simulation, ids)
-        self.simulation.reset(None if fresh.all() else ids)
+        if start is None:
+            self.simulation.reset(None if fresh.all() else ids)
+        else:
+            sliders = slice(7, 7 + self.robot.num_cables)
+            start.position[:, sliders] += self.simulation.plant.start_travel[ids]
+            self.simulation.place(ids, start.position, start.velocity)
         self._begun = True
         return self._channel.start(observe(self.simulation.state(), self.targets), fresh)
 

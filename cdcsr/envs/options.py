@@ -13,6 +13,7 @@ from cdcsr.errors import CdcsrError, unknown_choice
 from cdcsr.robot.description import Robot
 from cdcsr.simulation.arguments import as_floats
 from cdcsr.simulation.randomization import Randomization
+from cdcsr.tasks.starts import Starts
 from cdcsr.tasks.target_motion import MotionName
 from cdcsr.tasks.task import Reward, Task
 
@@ -52,6 +53,9 @@ class EnvOptions(TaskOptions, total=False):
     """They act between policy and robot; by default there are none."""
     randomization: Randomization | None
     """Draws a new plant for every episode; by default all plants are as described."""
+    start: str | Starts
+    """The states in which episodes begin: "still" (the default), "moving" or "anywhere"; see
+    :mod:`cdcsr.tasks.starts`."""
     task: str | Task
     """A task, or a name in :data:`cdcsr.tasks.catalogue.TASKS`; by default "reach"."""
 

@@ -66,7 +66,7 @@ class Drift(Motion):
 
     def begin(self, rng: np.random.Generator, position: Array) -> tuple[Array, Array]:
         num = len(position)
-        return _directions(rng, num) * rng.uniform(0, self.speed, (num, 1)), np.zeros(
+        return directions(rng, num) * rng.uniform(0, self.speed, (num, 1)), np.zeros(
             (num, self.size)
         )
 
@@ -115,9 +115,9 @@ class Tumble(Turning):
 
     def begin(self, rng: np.random.Generator, position: Array) -> tuple[Array, Array]:
         num = len(position)
-        center = position - _directions(rng, num) * rng.uniform(*self.radius, (num, 1))
+        center = position - directions(rng, num) * rng.uniform(*self.radius, (num, 1))
         return self._start(
-            position, center, _directions(rng, num) * rng.uniform(*self.rate, (num, 1))
+            position, center, directions(rng, num) * rng.uniform(*self.rate, (num, 1))
         )
 
 
@@ -157,7 +157,7 @@ class Wander(Motion):
     def begin(self, rng: np.random.Generator, position: Array) -> tuple[Array, Array]:
         num = len(position)
         size = rng.uniform(0, self.acceleration, (num, self.draws, 1))
-        drawn = _directions(rng, num * self.draws).reshape(num, self.draws, 3) * size
+        drawn = directions(rng, num * self.draws).reshape(num, self.draws, 3) * size
         return np.zeros((num, 3)), np.concatenate(
             [position, np.zeros((num, 1)), drawn.reshape(num, -1)], axis=1
         )
@@ -193,7 +193,7 @@ def make_motion(name: str) -> Motion:
     return MOTIONS[name]
 
 
-def _directions(rng: np.random.Generator, num: int) -> Array:
+def directions(rng: np.random.Generator, num: int) -> Array:
     """Draw unit vectors, shape (num, 3), whose directions are uniform on the sphere."""
     direction = rng.normal(size=(num, 3))
     return direction / np.linalg.norm(direction, axis=1, keepdims=True)
