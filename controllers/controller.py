@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from cdcsr.robot.description import Robot
 from cdcsr.simulation.contract import Dynamics, State
+from cdcsr.tasks.starts import StartName
 
 Array = NDArray[np.float64]
 
@@ -51,6 +52,7 @@ class Controller(ABC):
         frame_skip: how many simulation steps each of its actions is held for.
         task: the task it is made for, a name in :data:`cdcsr.tasks.catalogue.TASKS`.
         space: the operation space it was trained in; None if it was not trained.
+        start: how the episodes begin that it is made for: still, moving or anywhere.
         engine: the engine it was trained in; None if it was not trained.
     """
 
@@ -58,6 +60,7 @@ class Controller(ABC):
     privileged: bool = False
     frame_skip: int = 1
     task: str = "reach"
+    start: StartName = "still"
     space: str | None = None
     engine: str | None = None
 

@@ -75,6 +75,7 @@ def save(
         "robot": env.robot.name,
         "backend": env.backend,
         "space": env.space.name,
+        "start": env.start,
         "frame_skip": env.frame_skip,
     }
     storage = MinariStorage.new(
@@ -92,6 +93,7 @@ def save(
             "task": env.task.name,
             "backend": env.backend,
             "space": env.space.name,
+            "start": env.start,
             "frame_skip": env.frame_skip,
         }
     )
@@ -112,7 +114,11 @@ def save(
 
 
 def load(
-    folder: Path, robot_fingerprint: str, frame_skip: int = 1, task: str | None = None
+    folder: Path,
+    robot_fingerprint: str,
+    frame_skip: int = 1,
+    task: str | None = None,
+    start: str | None = None,
 ) -> list[Episode]:
     """Read the episodes of a dataset that :func:`save` wrote.
 
@@ -121,9 +127,10 @@ def load(
         robot_fingerprint: identifies the robot that it must be of.
         frame_skip: how many simulation steps each action must have been held for.
         task: the task that it must be of; by default any.
+        start: the start that it must be of; by default any.
 
     Raises:
-        CdcsrError: it is no such dataset, or it is of another robot, frame skip or task.
+        CdcsrError: it is no such dataset, or it is of another robot, frame skip, task or start.
     """
     from minari import MinariDataset
 
@@ -150,6 +157,12 @@ def load(
         raise CdcsrError(
             f"The demonstrations in {folder} are of the task {found[2]!r}, not {task!r}; record "
             f"some with `cdcsr demonstrate --task {task}`."
+        )
+    begun = metadata.get("start", "still")  # older datasets have no such entry
+    if start is not None and begun != start:
+        raise CdcsrError(
+            f"The demonstrations in {folder} begin {begun!r}, and only those that begin {start!r} "
+            f"can be used here; record some with `cdcsr demonstrate --start {start}`."
         )
     return [
         Episode(

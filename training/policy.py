@@ -28,6 +28,7 @@ from cdcsr.files import JsonObject, write_bytes, write_json
 from cdcsr.robot.description import Robot, parse_robot
 from cdcsr.simulation.contract import State
 from cdcsr.tasks.observation import observe
+from cdcsr.tasks.starts import start_name
 from controllers.controller import Conditions, Controller, Target
 from training.networks.actor import Activation, Actor
 
@@ -51,6 +52,7 @@ class Policy(Controller):
         self.name, self.task = str(card["name"]), str(card.get("task", "reach"))
         self.space, self.engine = str(card["space"]), str(card["backend"])
         self.frame_skip = int(card["frame_skip"])
+        self.start = start_name(str(card.get("start", "still")))  # older cards have no such entry
         self._centers, self._checked = centers, robot
 
     @property

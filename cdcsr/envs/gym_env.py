@@ -110,13 +110,9 @@ class TaskVectorEnv(VectorEnv[Array, Array, NDArray[np.generic]]):
         self.max_actions = actions_per_episode(self.task.max_steps, frame_skip)
         self._starts = start if isinstance(start, Starts) else Starts(start, self.robot)
         self.start = self._starts.name
-        if self.task.quiet and self._varies:
-            raise CdcsrError(
-                f"A quiet task measures how far the base is from its start, and with start "
-                f"{self.start!r} it drifts away by itself; choose start 'still'."
-            )
-        space_of_targets = make_space(space, self.robot, centers)
-        self._episodes = Episodes(num_envs, self.task, space_of_targets, self._varies)
+        self._starts.check(self.task)
+        where = make_space(space, self.robot, centers)
+        self._episodes = Episodes(num_envs, self.task, where, self._starts.varies)
         self.simulation = make_simulation(self.robot, backend, num_envs)
         self._set_gym_attributes(num_envs, mode)
         self.randomization = randomization
@@ -144,12 +140,7 @@ class TaskVectorEnv(VectorEnv[Array, Array, NDArray[np.generic]]):
         """Give disturbances and starts random streams of their own, so that targets depend on
         neither."""
         self._channel = Channel(self._disturbances, self.np_random)
-        if self._varies:
-            self._start_rng = self.np_random.spawn(1)[0]
-
-    @property
-    def _varies(self) -> bool:
-        return self.start != "still"
+        self._start_rng = self.np_random.spawn(1)[0] if self._starts.varies else self.np_random
 
     @property
     def space(self) -> Space:
@@ -262,7 +253,7 @@ class TaskVectorEnv(VectorEnv[Array, Array, NDArray[np.generic]]):
             drawn = self.randomization.drawn
             state |= {f"plant.{name}": rows.copy() for name, rows in drawn.items()}
             state["plant.generator"] = pack_generator(self.randomization.rng)
-        if self._varies:
+        if self._starts.varies:
             state["start.generator"] = pack_generator(self._start_rng)
         return state | {"generator": pack_generator(self.np_random)}
 
@@ -283,7 +274,7 @@ class TaskVectorEnv(VectorEnv[Array, Array, NDArray[np.generic]]):
         self.simulation.set_snapshot(
             Snapshot(self.simulation.engine, self.robot.fingerprint, **arrays, commands=commands)
         )
-        if self._varies:
+        if self._starts.varies:
             unpack_generator(self._start_rng, state["start.generator"])
         unpack_generator(self.np_random, state["generator"])
         self._begun = True
@@ -291,16 +282,10 @@ class TaskVectorEnv(VectorEnv[Array, Array, NDArray[np.generic]]):
     def _begin(self, fresh: Mask, targets: Array | None) -> Array:
         """Begin episodes where `fresh`, and return the observations of all copies."""
         ids = np.flatnonzero(fresh)
-        start = self._starts.draw(self._start_rng, len(ids)) if self._varies else None
-        self._episodes.begin(ids, self.np_random, targets, start.drift if start else None)
         if self.randomization is not None:
             self.randomization.begin(self.simulation, ids)
-        if start is None:
-            self.simulation.reset(None if fresh.all() else ids)
-        else:
-            sliders = slice(7, 7 + self.robot.num_cables)
-            start.position[:, sliders] += self.simulation.plant.start_travel[ids]
-            self.simulation.place(ids, start.position, start.velocity)
+        drift = self._starts.begin(self.simulation, ids, self._start_rng)
+        self._episodes.begin(ids, self.np_random, targets, drift)
         self._begun = True
         return self._channel.start(observe(self.simulation.state(), self.targets), fresh)
 

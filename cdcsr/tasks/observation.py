@@ -154,7 +154,7 @@ def with_target(observations: Array, target: Array) -> Array:
 
     Args:
         observations: shape (..., observation size).
-        target: shape (3,), in [m].
+        target: shape (3,), or one for each observation; in [m].
     """
     moved = np.array(observations)
     moved[..., TARGET] = target

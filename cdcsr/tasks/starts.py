@@ -38,9 +38,11 @@ from numpy.typing import NDArray
 
 from cdcsr.errors import CdcsrError, unknown_choice
 from cdcsr.robot.description import Robot
+from cdcsr.simulation.contract import Simulation
 from cdcsr.simulation.engines import make_simulation
 from cdcsr.simulation.rotations import rotation_matrix
 from cdcsr.tasks.target_motion import directions
+from cdcsr.tasks.task import Task
 
 Array = NDArray[np.float64]
 StartName = Literal["still", "moving", "anywhere"]
@@ -52,7 +54,7 @@ ENGINE = "mujoco"
 """The engine that simulates the bank."""
 BANK = 256
 """The number of states in the bank."""
-HOLD = 0.25
+HOLD = 0.2
 """The longest time for which a command of the bank is held, in [s]; uniform from one time step."""
 
 
@@ -84,22 +86,54 @@ class Starts:
         self.name: StartName = start_name(name)
         self._robot, self._seed = robot, seed
 
+    @property
+    def varies(self) -> bool:
+        """Whether the starts differ from each other."""
+        return self.name != "still"
+
+    def check(self, task: Task) -> None:
+        """Check that a task can begin so.
+
+        Raises:
+            CdcsrError: it is quiet, and the base drifts.
+        """
+        if task.quiet and self.varies:
+            raise CdcsrError(
+                f"With start {self.name!r} the base drifts by itself, so that the task "
+                f"{task.name!r} would fail; choose start 'still'."
+            )
+
+    def begin(
+        self, simulation: Simulation, ids: NDArray[np.int64], rng: np.random.Generator
+    ) -> Array | None:
+        """Put copies `ids`, whose parameters are set, into states in which episodes begin.
+
+        Returns:
+            The velocity that each target shares with its robot, shape (len(ids), 3), in [m/s]; None
+            if the robots are still.
+        """
+        if not self.varies:
+            simulation.reset(ids)
+            return None
+        position, velocity, drift = self.draw(rng, len(ids))
+        position[:, 7 : 7 + self._robot.num_cables] += simulation.plant.start_travel[ids]
+        simulation.place(ids, position, velocity)
+        return drift
+
     def draw(self, rng: np.random.Generator, num: int) -> Start:
-        """Draw the states of `num` episodes."""
-        size = self._robot.num_coordinates
-        position, velocity = np.zeros((num, size + 1)), np.zeros((num, size))
-        position[:, 3] = 1.0
-        if self.name == "still":
-            return Start(position, velocity, np.zeros((num, 3)))
-        drift = directions(rng, num) * rng.uniform(0, SPEED, (num, 1))
-        turn = directions(rng, num) * rng.uniform(0, RATE, (num, 1))
+        """Draw `num` states for a start that is not still."""
         if self.name == "anywhere":
             positions, velocities = bank(self._robot, self._seed)
             chosen = rng.integers(len(positions), size=num)
             position, velocity = positions[chosen], velocities[chosen]
+        else:
+            size = self._robot.num_coordinates
+            position, velocity = np.zeros((num, size + 1)), np.zeros((num, size))
+            position[:, 3] = 1.0
+        drift = directions(rng, num) * rng.uniform(0, SPEED, (num, 1))
         # Sliders and hinges are relative to the base: the robot gets this motion as a whole.
         velocity[:, :3] += drift
-        velocity[:, 3:6] += turn
+        velocity[:, 3:6] += directions(rng, num) * rng.uniform(0, RATE, (num, 1))
         return Start(position, velocity, drift)
 
 

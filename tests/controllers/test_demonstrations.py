@@ -11,7 +11,7 @@ import pytest
 from cdcsr.envs.gym_env import TaskVectorEnv
 from cdcsr.errors import CdcsrError
 from cdcsr.robot.description import load_robot
-from cdcsr.tasks.observation import TARGET
+from cdcsr.tasks.observation import SLICES, TARGET
 from cdcsr.tasks.spaces import demonstration_targets
 from controllers.demonstrations import load, record
 from controllers.jacobian import JacobianController
@@ -109,6 +109,20 @@ def test_what_is_no_dataset_is_refused(tmp_path: Path, folder: Path) -> None:
         CdcsrError, match=r"of the task 'reach', not 'capture'; .*cdcsr demonstrate --task capture"
     ):
         load(folder, fingerprint, task="capture")
+
+
+def test_demonstrations_begin_as_asked_and_are_replayed_only_from_still(tmp_path: Path) -> None:
+    """A replay cannot know how the arm was bent."""
+    folder = tmp_path / "set"
+    demonstrate(out=folder, episodes=2, start="moving")
+    episodes = load(folder, load_robot("paper").fingerprint, start="moving")
+    for episode in episodes:
+        moved = np.diff(episode.observations[:, TARGET], axis=0)
+        drift = episode.observations[0, SLICES["base_velocity"]] * 0.0025
+        assert np.linalg.norm(drift) > 1e-6
+        np.testing.assert_allclose(moved, np.broadcast_to(drift, moved.shape), atol=1e-12)
+    with pytest.raises(CdcsrError, match=r"begin 'moving', .*cdcsr demonstrate --start still"):
+        replay(folder)
 
 
 def test_a_capture_is_demonstrated_and_read_back(tmp_path: Path) -> None:

@@ -42,6 +42,13 @@ def test_loaded_policy_acts_like_the_saved(folder: Path) -> None:
     np.testing.assert_array_equal(policy.centers, np.ones((2, 3)))
 
 
+def test_a_policy_knows_its_start_and_older_ones_began_still(folder: Path) -> None:
+    assert load_policy(folder).start == "still"
+    _edit("start", "moving")(folder)
+    assert load_policy(folder).start == "moving"
+    assert find_policy("clasp-anchor-mujoco").start == "still"
+
+
 def test_a_policy_refuses_another_robot(folder: Path) -> None:
     with pytest.raises(CdcsrError, match=r"is for robot 'planar-single' .* not for 'paper'"):
         evaluate(load_policy(folder), load_robot("paper"), "mujoco", "anchor", episodes=1)

@@ -17,6 +17,7 @@ def demonstrate(
     backend: str = "mujoco",
     space: str = "anchor",
     task: str = "reach",
+    start: str = "still",
     episodes: int = 10,
     seed: int = 0,
     force: bool = False,
@@ -32,6 +33,7 @@ def demonstrate(
         space: the operation space of the targets: anchor, floating, spatter or workspace.
         task: reach, precise, quiet, capture, capture-drift, capture-tumble, follow-line,
             follow-circle or follow-random.
+        start: how episodes begin: still, moving or anywhere (`cdcsr.tasks.starts`).
         episodes: how many successful episodes.
         seed: seed of the targets.
         force: replace an existing folder.
@@ -48,7 +50,7 @@ def demonstrate(
         raise CdcsrError(f"episodes must be at least 1, not {episodes}.")
     with new_folder(out, "demonstrations", force) as folder:
         options = {"frame_skip": frame_skip, "task": task, "autoreset_mode": "Disabled"}
-        env = TaskVectorEnv(episodes, robot, backend, space, **options)
+        env = TaskVectorEnv(episodes, robot, backend, space, start=start, **options)
         controller = JacobianController(env.robot)
         recorded, failed = demonstrations.record(controller, env, episodes, seed)
         demonstrations.save(folder, recorded, env, controller.name, out.name)
@@ -59,11 +61,13 @@ def demonstrate(
         "task": env.task.name,
         "backend": backend,
         "space": space,
+        "start": env.start,
         "seed": seed,
         **_numbers(recorded, failed, frame_skip),
     }
     print(
-        "{episodes} demonstrations of {robot} in {backend} ({task}, {space}, seed {seed}): "
+        "{episodes} demonstrations of {robot} in {backend} "
+        "({task}, {space}, start {start}, seed {seed}): "
         "{steps} steps, {length_mean:.1f} on average, {failed} failed and drawn anew -> {out}"
         "".format(**summary)
     )

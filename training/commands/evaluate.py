@@ -13,6 +13,7 @@ def evaluate(
     backend: str = "all",
     space: str | None = None,
     task: str | None = None,
+    start: str | None = None,
     episodes: int = 100,
     seed: int | None = None,
     action_noise: float = 0.0,
@@ -31,6 +32,8 @@ def evaluate(
         backend: an engine, or all.
         space: anchor, floating, spatter or workspace; by default that of the training.
         task: the task; by default the one it was trained for.
+        start: how episodes begin: still, moving or anywhere (`cdcsr.tasks.starts`); by default as
+            in the training.
         episodes: how many episodes, run as one batch.
         seed: seed of the targets; by default the one that nothing is tuned on.
         action_noise: standard deviation of noise on the commands, in [m] of set-point.
@@ -57,4 +60,5 @@ def evaluate(
         plot,
         Disturbances(action_noise, base_noise, packet_loss),
         task or controller.task,
+        start or controller.start,
     )

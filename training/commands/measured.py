@@ -23,6 +23,7 @@ def report_cells(
     plot: Path | None,
     disturbances: Disturbances | None,
     task: str,
+    start: str,
 ) -> None:
     """Measure controllers, print the table, write the JSON file and draw the picture."""
     from cdcsr.files import refuse_unwritable, write_json
@@ -39,15 +40,16 @@ def report_cells(
         refuse_unwritable(plot)
     backends, seed = chosen_backends(backend), TEST_SEED if seed is None else seed
     cells = measure(
-        controllers, robot, backends, spaces, episodes, seed, disturbances, task, progress
+        controllers, robot, backends, spaces, episodes, seed, disturbances, task, start, progress
     )
-    print(f"\n{task}: {episodes} episodes in each cell, target seed {seed}\n")
+    print(f"\n{task}, start {start}: {episodes} episodes in each cell, target seed {seed}\n")
     print(format_table(cells))
     for sentence in other_targets(cells):
         print(sentence)
     if json is not None:
         found = {
             "task": task,
+            "start": start,
             "seed": seed,
             "cells": [cell.as_dict() for cell in cells],
             "disagreements": [pair.as_dict() for pair in disagreements(cells)],

@@ -30,7 +30,7 @@ def replay(
     from controllers.replay import replay as run
 
     description = load_robot(robot)
-    episodes = demonstrations.load(dataset, description.fingerprint, frame_skip)
+    episodes = demonstrations.load(dataset, description.fingerprint, frame_skip, start="still")
     results = [
         run(description, name, episodes, frame_skip).as_dict() for name in chosen_backends(backend)
     ]

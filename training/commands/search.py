@@ -59,6 +59,7 @@ def search(
     out: Path,
     backend: str = "mujoco",
     space: str | None = None,
+    start: str | None = None,
     episodes: int = 100,
     rounds: int = 30,
     missed: bool = False,
@@ -84,6 +85,8 @@ def search(
             options.
         backend: the engine.
         space: anchor, floating, spatter or workspace; by default that of the training.
+        start: how episodes begin: still, moving or anywhere (`cdcsr.tasks.starts`); by default as
+            in the training.
         episodes: how many targets, the same as those of as many episodes of `cdcsr evaluate`.
         rounds: how many rounds at each target; about half a second each.
         missed: search only at targets that the controller reaches in less than half of 48 tries.
@@ -99,7 +102,9 @@ def search(
     from cdcsr.files import write_json
 
     disturbances = Disturbances(action_noise, base_noise, packet_loss)
-    asked = _prepare(policy, backend, space, episodes, rounds, missed, seed, robot, disturbances)
+    asked = _prepare(
+        policy, backend, space, start, episodes, rounds, missed, seed, robot, disturbances
+    )
     summary = asked.run(out, force)
     print(
         f"\n{asked.controller.name} in {asked.space}, {episodes} targets: reaches "
@@ -115,6 +120,7 @@ def _prepare(
     policy: str,
     backend: str,
     space: str | None,
+    start: str | None,
     episodes: int,
     rounds: int,
     missed: bool,
@@ -149,6 +155,7 @@ def _prepare(
         robot_of(controller, description),
         backend,
         space or controller.space or "anchor",
+        start or controller.start,
         TEST_SEED if seed is None else seed,
         episodes,
         rounds,
@@ -165,6 +172,7 @@ class _Search:
     robot: Robot
     backend: str
     space: str
+    start: str
     seed: int
     episodes: int
     rounds: int
@@ -188,6 +196,8 @@ class _Search:
             "missed": self.missed,
             **noise,
         }
+        if self.start != "still":  # older searches have no such entry
+            identity["start"] = self.start
         if any(noise.values()):
             # Older searches reported the tries that chose the plan; they cannot be resumed.
             identity["told"] = "by tries drawn anew"
@@ -218,6 +228,7 @@ class _Search:
             task=self.controller.task,
             centers=self.controller.centers,
             disturbances=disturbances,
+            start=self.start,
             autoreset_mode="Disabled",
         )
 

@@ -18,6 +18,7 @@ def sweep(
     backend: str = "all",
     space: str | None = None,
     task: str | None = None,
+    start: str | None = None,
     episodes: int = 100,
     seed: int | None = None,
     robot: str = "paper",
@@ -33,6 +34,8 @@ def sweep(
         backend: an engine, or all.
         space: anchor, floating, spatter or workspace; by default that of the training.
         task: the task; by default the one it was trained for.
+        start: how episodes begin: still, moving or anywhere (`cdcsr.tasks.starts`); by default as
+            in the training.
         episodes: how many episodes at each level, run as one batch.
         seed: seed of the targets; by default the one that nothing is tuned on.
         robot: the robot, unless the policy brings its own.
@@ -43,13 +46,13 @@ def sweep(
     from training.measure.plant_sweep import Row
     from training.measure.sweep_table import as_dict, format_sweep
 
-    head, lines = _measure(policy, backend, space, task, axis, episodes, seed, robot)
+    head, lines = _measure(policy, backend, space, task, start, axis, episodes, seed, robot)
     points = [point for line in lines for point in line]
     nominal = list({line[0].backend: line[0] for line in lines}.values())
     rates = ", ".join(f"{point.backend} {_rate(point)}" for point in nominal)
     print(
-        "\n{policy}, {task} in {space}: {episodes} episodes at each level, target seed {seed}; "
-        "nominal {rates}\n".format(**head, rates=rates)
+        "\n{policy}, {task} in {space}, start {start}: {episodes} episodes at each level, "
+        "target seed {seed}; nominal {rates}\n".format(**head, rates=rates)
     )
     print(format_sweep(points))
     _show_differences(nominal)
@@ -65,6 +68,7 @@ def _measure(
     backend: str,
     space: str | None,
     task: str | None,
+    start: str | None,
     axis: tuple[str, ...],
     episodes: int,
     seed: int | None,
@@ -83,6 +87,7 @@ def _measure(
     controller = find_controller(policy, description)
     description = robot_of(controller, description)
     space, task = space or controller.space or "anchor", task or controller.task
+    start = start or controller.start
     seed = TEST_SEED if seed is None else seed
     lines: list[list[Point]] = []
     nominal: dict[str, Point] = {}
@@ -99,10 +104,11 @@ def _measure(
             nominal.get(engine),
             _progress,
             task,
+            start,
         )
         nominal[engine] = line[0]
         lines.append(line)
-    head = {"policy": controller.name, "task": task, "space": space}
+    head = {"policy": controller.name, "task": task, "space": space, "start": start}
     return {**head, "seed": seed, "episodes": episodes}, lines
 
 

@@ -12,6 +12,7 @@ def transfer(
     *,
     backend: str = "all",
     space: str = "all",
+    start: str | None = None,
     episodes: int = 100,
     seed: int | None = None,
     task: str | None = None,
@@ -26,6 +27,8 @@ def transfer(
             controller of your own), or .zip files of stable-baselines3.
         backend: an engine, or all.
         space: anchor, floating, spatter or workspace; or all, which is the first three.
+        start: how episodes begin: still, moving or anywhere (`cdcsr.tasks.starts`); by default as
+            in the training of all of them.
         episodes: how many episodes in each cell, run as one batch.
         seed: seed of the targets; by default the one that nothing is tuned on.
         task: the task; by default the one that all of them were trained for.
@@ -61,5 +64,23 @@ def transfer(
             f"The policies were trained for different tasks ({', '.join(tasks)}); "
             "choose one with --task."
         )
+    starts: list[str] = [start] if start else sorted({one.start for one in learned})
+    if len(starts) > 1:
+        raise CdcsrError(
+            f"The policies were trained from different starts ({', '.join(starts)}); "
+            "choose one with --start."
+        )
     spaces = list(SPACES) if space == "all" else [space]
-    report_cells(controllers, robot, backend, spaces, episodes, seed, json, plot, None, tasks[0])
+    report_cells(
+        controllers,
+        robot,
+        backend,
+        spaces,
+        episodes,
+        seed,
+        json,
+        plot,
+        None,
+        tasks[0],
+        starts[0] if starts else "still",
+    )

@@ -9,6 +9,7 @@ from typing import Literal, cast, get_args
 from tyro.conf import Suppress
 
 from cdcsr.errors import CdcsrError, unknown_choice
+from cdcsr.tasks.starts import StartName, start_name
 from training.config.seeds import EVALUATION_SEEDS
 
 PresetName = Literal["paper-reading", "tuned"]
@@ -42,6 +43,9 @@ class RunDescription:
     """Where targets lie: anchor, floating, spatter, workspace, or a map from `cdcsr workspace`."""
     task: str = "reach"
     """The task: reach, precise, quiet, capture, capture-drift, capture-tumble, follow-line, ..."""
+    start: StartName = "still"
+    """How episodes begin, demonstrations too: still, moving or anywhere (see
+    `cdcsr.tasks.starts`)."""
     frame_skip: int = 1
     """Simulation steps for which each action is held."""
     randomize: float = 0.0
@@ -61,6 +65,7 @@ class RunDescription:
     """Numbers of the learner that differ from the algorithm's own, in the order of their names."""
 
     def __post_init__(self) -> None:
+        start_name(self.start)
         if self.preset not in get_args(PresetName):
             raise CdcsrError(unknown_choice("preset", self.preset, get_args(PresetName)))
         if not 0 <= self.seed < 2**63:
@@ -99,6 +104,8 @@ class RunDescription:
             parts.append(f"e{self.demonstration_seed}")
         if self.task != "reach":
             parts.append(self.task)
+        if self.start != "still":
+            parts.append(self.start)
         if self.randomize:
             parts.append(f"r{self.randomize:g}")
         return "_".join([*parts, *(f"{name}={in_a_name(value)}" for name, value in self.changes)])
@@ -111,6 +118,7 @@ class RunDescription:
             changes: those of the learner's numbers that the policy depends on.
         """
         where = self.space if self.task == "reach" else f"{self.task}-{self.space}"
+        where += "" if self.start == "still" else f"-{self.start}"
         parts = [algorithm, self.preset, where, self.backend, f"s{self.seed}"]
         return "-".join([*parts, *(f"{name}={in_a_name(value)}" for name, value in changes)])
 

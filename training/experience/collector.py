@@ -34,6 +34,9 @@ class FinishedEpisode:
     terminated: bool
     """The episode ended by success. Otherwise it ended at the time limit, which can be a success
     too where a target is followed."""
+    drift: Array | None = None
+    """The velocity that target and robot shared from the start, shape (3,), in [m/s]; None: none.
+    """
 
 
 def exploration_noise(learner: Practising) -> Array:
@@ -85,7 +88,7 @@ class Collector:
         self._noise[fresh] = self._scale[fresh] * drawn
         self._count += 1
         action = np.clip(action + self._noise, -1, 1)
-        at = env.actions_taken.copy()
+        at, drift = env.actions_taken.copy(), env.drift.copy()
         self._observations[everyone, at] = self._observation
         self._actions[everyone, at] = action
         command = actor.to_command(torch.as_tensor(action)).numpy()
@@ -100,6 +103,7 @@ class Collector:
                 self._rewards[i, :length],
                 bool(info["final_info"]["is_success"][i]),
                 bool(terminated[i]),
+                drift[i],
             )
 
     def state_arrays(self) -> dict[str, NDArray[np.generic]]:

@@ -26,7 +26,8 @@ def relabel(
 
     Args:
         episode: T actions.
-        task: defines success; the new target is at rest even if the task's target moves.
+        task: defines success. The new target only drifts with the robot, as the old one did, even
+            if the task's target moves besides.
         rng: draws the time, and the target's place in a ball of the threshold's radius around
             the tip.
 
@@ -35,17 +36,20 @@ def relabel(
         nothing to teach.
     """
     rows = episode.observations
-    tip = rows[:, TIP_POSITION]
+    drift = np.zeros(3) if episode.drift is None else episode.drift
+    # Everything is seen from the frame that drifts, where the new target is at rest.
+    drifted = np.arange(len(rows))[:, None] * (task.period * drift)
+    tip = rows[:, TIP_POSITION] - drifted
     direction = rng.normal(size=3)
     offset = direction * (task.threshold * np.cbrt(rng.random()) / np.linalg.norm(direction))
     target = tip[rng.integers(1, len(tip))] + offset
     if np.linalg.norm(target - tip[0]) <= task.threshold:
         return None
     last = task.first_success(
-        tip, rows[:, TIP_VELOCITY], target, rows[:, BASE_POSITION], rows[:, BASE_QUATERNION]
+        tip, rows[:, TIP_VELOCITY] - drift, target, rows[:, BASE_POSITION], rows[:, BASE_QUATERNION]
     )
     if last is None:
         return None
-    moved = with_target(rows[: last + 1], target)
+    moved = with_target(rows[: last + 1], target + drifted[: last + 1])
     rewards = task.episode_rewards(moved, True)
     return FinishedEpisode(moved, episode.actions[:last], rewards, True, task.ends)

@@ -14,6 +14,7 @@ from cdcsr.envs.gym_env import TaskVectorEnv
 from cdcsr.errors import CdcsrError
 from cdcsr.robot.description import Robot
 from cdcsr.tasks.catalogue import make_task
+from cdcsr.tasks.starts import Starts
 from controllers.controller import Controller
 from controllers.rollout import rollout
 from training.config.seeds import TEST_SEED
@@ -85,6 +86,7 @@ def evaluate(
     disturbances: Disturbances | None = None,
     plant: ActualPlant | None = None,
     task: str = "reach",
+    start: str = "still",
 ) -> Result:
     """Measure a controller on targets drawn from a space.
 
@@ -94,7 +96,8 @@ def evaluate(
         backend: the engine.
         space: the operation space.
         episodes: how many episodes, run as one batch.
-        seed: seeds targets and disturbances; the same seed gives every controller the same ones.
+        seed: seeds targets, starts and disturbances; the same seed gives every controller the same
+            ones. Training draws bent arms from a bank of another seed.
         centers: the targets of the demonstrations, shape (n, 3), for Floating and Spatter; by
             default the controller's.
         frame_skip: how many simulation steps each action is held for; by default the controller's.
@@ -102,6 +105,7 @@ def evaluate(
         plant: the plant that is simulated; by default the robot. On a plant given here a policy
             also acts if the plant's numbers differ from its own robot's.
         task: a name in :data:`cdcsr.tasks.catalogue.TASKS`.
+        start: the states in which episodes begin: still, moving or anywhere.
 
     Raises:
         CdcsrError: an unknown engine or space, or no episodes.
@@ -114,8 +118,9 @@ def evaluate(
     plant, disturbances = plant or ActualPlant(robot), disturbances or Disturbances()
     if isinstance(controller, Policy) and plant.robot is not robot:
         controller = controller.on(plant.robot)
+    starts = Starts(start, robot, seed)
     env = _environment(
-        plant, backend, space, episodes, frame_skip, max_steps, centers, disturbances, task
+        plant, backend, space, episodes, frame_skip, max_steps, centers, disturbances, task, starts
     )
     with closing(env):
         observation, _ = env.reset(seed=seed)
@@ -138,6 +143,7 @@ def _environment(
     centers: Array | None,
     disturbances: Disturbances,
     task: str,
+    starts: Starts,
 ) -> TaskVectorEnv:
     """Make the environment that simulates a plant; steps are those of the model."""
     if plant.observation_delay:
@@ -152,6 +158,7 @@ def _environment(
         task=task,
         centers=centers,
         disturbances=disturbances,
+        start=starts,
         autoreset_mode="Disabled",
     )
     if plant.parameters is not None:

@@ -87,6 +87,7 @@ def sweep(
     nominal: Point | None = None,
     progress: Callable[[Point], None] | None = None,
     task: str = "reach",
+    start: str = "still",
 ) -> list[Point]:
     """Measure a controller on plants that differ ever more along one axis, up and then down.
 
@@ -105,6 +106,7 @@ def sweep(
         nominal: the nominal point if it is measured already, as it is the same on all axes.
         progress: called with each finished point.
         task: the name of the task.
+        start: the states in which episodes begin.
 
     Returns:
         The points: nominal, outwards up, outwards down.
@@ -114,7 +116,7 @@ def sweep(
     """
 
     def measured(level: float) -> Point:
-        return _measure(controller, robot, backend, space, axis, level, episodes, seed, task)
+        return _measure(controller, robot, backend, space, axis, level, episodes, seed, task, start)
 
     if nominal is None:
         nominal = measured(axis.nominal)
@@ -158,10 +160,21 @@ def _measure(
     episodes: int,
     seed: int,
     task: str,
+    start: str,
 ) -> Point:
     try:
         plant = axis.plant(robot, level)
-        result = evaluate(controller, robot, backend, space, episodes, seed, plant=plant, task=task)
+        result = evaluate(
+            controller,
+            robot,
+            backend,
+            space,
+            episodes,
+            seed,
+            plant=plant,
+            task=task,
+            start=start,
+        )
     except Diverged as error:
         return Point(backend, space, axis, level, None, str(error).partition(";")[0], task)
     return Point(backend, space, axis, level, result, task=task)

@@ -53,6 +53,7 @@ def transfer(
     seed: int = TEST_SEED,
     disturbances: Disturbances | None = None,
     task: str = "reach",
+    start: str = "still",
     progress: Callable[[Cell], None] | None = None,
 ) -> list[Cell]:
     """Measure controllers in engines and spaces.
@@ -66,6 +67,7 @@ def transfer(
             and Spatter surround the demonstrations of each policy; see :func:`other_targets`.
         disturbances: the disturbances between controller and robot.
         task: the name of the task.
+        start: the states in which episodes begin.
         progress: called with each finished cell.
 
     Returns:
@@ -91,6 +93,7 @@ def transfer(
                     seed,
                     disturbances=disturbances,
                     task=task,
+                    start=start,
                 )
                 cells.append(Cell(controller.name, *trained, backend, space, result))
                 if progress:

@@ -17,6 +17,7 @@ from cdcsr.simulation.engines import load_backend
 from cdcsr.simulation.randomization import check_scale
 from cdcsr.tasks.catalogue import actions_per_episode, make_task
 from cdcsr.tasks.spaces import demonstration_space, make_space
+from cdcsr.tasks.starts import Starts
 from cdcsr.tasks.symmetry import images
 from cdcsr.tasks.task import Reward, Task
 from controllers import demonstrations
@@ -56,6 +57,7 @@ class Setup:
 
     def _check(self, task: Task) -> None:
         config, learner = self.config, self.learner
+        Starts(config.start, self.robot).check(task)
         actions = actions_per_episode(task.max_steps, config.frame_skip)
         if learner.symmetry and len(images(self.robot)) == 1:
             raise CdcsrError(
@@ -129,6 +131,7 @@ class Setup:
             self.reward,
             config.frame_skip,
             task=config.task,
+            start=config.start,
             **options,
         )
 
@@ -148,6 +151,7 @@ class Setup:
             "backend": config.backend,
             "task": config.task,
             "space": config.space,
+            "start": config.start,
             "seed": config.seed,
             "frame_skip": config.frame_skip,
             "randomize": config.randomize,
@@ -170,6 +174,7 @@ class Setup:
             centers=self.centers,
             frame_skip=config.frame_skip,
             task=config.task,
+            start=config.start,
         )
 
 

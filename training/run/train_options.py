@@ -103,6 +103,8 @@ class Train(RunDescription):
             del data["randomize"]  # older runs have no such option
         if not self.demonstration_seed:
             del data["demonstration_seed"]  # the same
+        if self.start == "still":
+            del data["start"]  # the same
         data |= {"learner": self.learner.model_dump(mode="json"), "fingerprint": fingerprint}
         return data if dataset is None else {**data, "dataset": dataset}
 
@@ -145,7 +147,7 @@ def read_older(found: dict[str, object], run: Train, path: Path) -> dict[str, ob
         younger = type(run.learner)().model_dump(mode="json")
         learner = {name: learner.get(name, value) for name, value in younger.items()}
     usual = Train(out=path).as_dict()
-    for name in ("changes", "updates", "randomize", "demonstration_seed"):
+    for name in ("changes", "updates", "randomize", "demonstration_seed", "start"):
         del usual[name]
     preset = str(found.get("preset"))
     return {**usual, **found, "preset": RENAMED.get(preset, preset), "learner": learner}

@@ -16,6 +16,7 @@ def test_a_name_says_what_the_run_is() -> None:
     assert run.name == "td3-tuned_anchor_mujoco_d5_u77_s2"
     run = replace(run, task="quiet", randomize=0.5, changes=(("hidden", (8, 8)), ("critics", 3)))
     assert run.name.endswith("_s2_quiet_r0.5_critics=3_hidden=8x8")
+    assert replace(run, start="moving").name.endswith("_s2_quiet_moving_r0.5_critics=3_hidden=8x8")
 
 
 def test_plain_data_bring_it_back() -> None:
@@ -28,6 +29,7 @@ def test_an_older_record_is_read() -> None:
     run = RunDescription.from_dict(older)
     assert (run.preset, run.num_demonstrations) == ("paper-reading", 5)
     assert run.changes == (("critics", 3),)
+    assert run.start == "still"
 
 
 @pytest.mark.parametrize(
@@ -35,6 +37,7 @@ def test_an_older_record_is_read() -> None:
     [
         ({"colour": "red"}, "colour"),
         ({"preset": "fast"}, "Unknown preset 'fast'"),
+        ({"start": "anywere"}, "Unknown start 'anywere'. Did you mean 'anywhere'"),
         ({"seed": 2**64}, r"seed must lie in \[0, 2\^63\)"),
         ({"num_demonstrations": -1}, "num_demonstrations must not be negative"),
     ],

@@ -14,6 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 from cdcsr.envs.gym_env import Info, TaskVectorEnv
 from cdcsr.robot.description import Robot, load_robot
 from cdcsr.tasks.catalogue import Capture, make_task
+from cdcsr.tasks.observation import TARGET
 from tests.support.tiny import FRAME_SKIP
 from training.config.learner import Practising
 from training.experience.collector import Collector, exploration_noise
@@ -152,3 +153,20 @@ def test_noise_is_the_same_everywhere_or_climbs_a_ladder() -> None:
     np.testing.assert_allclose(exploration_noise(learner), 0.2)
     ladder = exploration_noise(learner.changed(noise_ladder=True))
     np.testing.assert_allclose(ladder, [0, 0.1, 0.2, 0.3, 0.4])
+
+
+def test_episodes_carry_the_drift_that_their_targets_have(paper: Robot) -> None:
+    """Each its own, also after others began in the same environment."""
+    options: dict[str, Any] = {"start": "moving", "frame_skip": FRAME_SKIP, "max_steps": 60}
+    env = TaskVectorEnv(3, paper, threshold=1e-6, **options)
+    collector = Collector(env, 0.5, 1, np.random.default_rng(0))
+    collector.start(2)
+    actor, drifts = Actor(paper, True, (8, 8), "relu"), set()
+    for episode in (one for _ in range(19) for one in collector.step(actor)):
+        assert episode.drift is not None
+        moved = np.diff(episode.observations[:, TARGET], axis=0)
+        drift = episode.drift * env.task.period
+        np.testing.assert_allclose(moved, np.broadcast_to(drift, moved.shape), atol=1e-12)
+        drifts.add(tuple(episode.drift))
+    env.close()
+    assert len(drifts) == 9

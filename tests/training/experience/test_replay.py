@@ -10,7 +10,13 @@ from numpy.typing import NDArray
 
 from cdcsr.robot.description import load_robot
 from cdcsr.tasks.catalogue import make_task
-from cdcsr.tasks.observation import DISTANCE, TARGET, TIP_POSITION, observation_size
+from cdcsr.tasks.observation import (
+    DISTANCE,
+    TARGET,
+    TIP_POSITION,
+    TIP_VELOCITY,
+    observation_size,
+)
 from training.config.learner import Practising
 from training.experience.collector import FinishedEpisode
 from training.experience.hindsight import relabel
@@ -174,6 +180,38 @@ def test_relabel_against_brute_force(seed: int) -> None:
     )
     np.testing.assert_array_equal(other.actions, episode.actions[: len(other.actions)])
     np.testing.assert_array_equal(observations, before)
+
+
+@pytest.mark.parametrize("name", ["reach", "capture"])
+def test_a_target_chosen_in_hindsight_drifts_as_the_old_one_did(name: str) -> None:
+    """The episode seen from a drifting frame is relabelled as the episode itself."""
+    task, rng = make_task(name, period=0.02), np.random.default_rng(3)
+    still = rng.normal(size=(81, _SIZE))
+    still[:, TIP_POSITION] = np.linspace([0, 0, 0], [0.08, 0, 0], 81)
+    still[:, TIP_VELOCITY] = [0.05, 0, 0]
+    drift = np.array([0.06, -0.08, 0.05])
+    drifting = still.copy()
+    drifting[:, TIP_POSITION] += 0.02 * np.arange(81)[:, None] * drift
+    drifting[:, TIP_VELOCITY] += drift
+    actions, rewards = np.zeros((80, 4)), np.zeros(80)
+    one = relabel(FinishedEpisode(still, actions, rewards, False, False), task, _seeded())
+    other = relabel(
+        FinishedEpisode(drifting, actions, rewards, False, False, drift), task, _seeded()
+    )
+    assert one is not None
+    assert other is not None
+    assert len(other.actions) == len(one.actions) > 5
+    drifted = 0.02 * np.arange(len(one.observations))[:, None] * drift
+    np.testing.assert_allclose(
+        other.observations[:, TARGET] - drifted, one.observations[:, TARGET], atol=1e-12
+    )
+    np.testing.assert_allclose(
+        other.observations[:, DISTANCE], one.observations[:, DISTANCE], atol=1e-12
+    )
+
+
+def _seeded() -> np.random.Generator:
+    return np.random.default_rng(5)
 
 
 def test_rewards_are_those_of_the_task() -> None:

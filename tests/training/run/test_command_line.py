@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -122,6 +123,8 @@ def test_a_policy_is_named_for_the_changes_it_depends_on() -> None:
     ]
     run = Train(out=Path("x"), algorithm="clasp", task="capture")
     assert run.policy_name("clasp", ()) == "clasp-tuned-capture-anchor-mujoco-s0"
+    run = Train(out=Path("x"), algorithm="clasp", task="capture", start="anywhere")
+    assert run.policy_name("clasp", ()) == "clasp-tuned-capture-anchor-anywhere-mujoco-s0"
 
 
 def test_the_record_of_an_older_version_is_translated() -> None:
@@ -135,6 +138,10 @@ def test_the_record_of_an_older_version_is_translated() -> None:
     paper = Train(out=Path("x"), algorithm="td3", preset="paper-reading")
     older = {**paper.identity("f"), "preset": "paper"}
     assert read_older(older, paper, Path("config.json")) == paper.identity("f")
+    assert "start" not in paper.identity("f")  # so that older runs can be resumed
+    moving = replace(paper, start="moving")
+    assert moving.identity("f")["start"] == "moving"
+    assert read_older(moving.identity("f"), moving, Path("config.json")) == moving.identity("f")
     older["learner"] = {**learner, "step_cost": 0.004}
     with pytest.raises(CdcsrError, match=r"a run with step_cost = 0\.004, an option that this"):
         read_older(older, run, Path("config.json"))

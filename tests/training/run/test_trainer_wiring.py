@@ -19,6 +19,7 @@ from tests.support.tiny import FRAME_SKIP, tiny_changes
 from training.config.seeds import EVALUATION_SEEDS, TEST_SEED, VALIDATION_SEED
 from training.experience.collector import Collector, FinishedEpisode
 from training.networks.actor import Actor
+from training.policy import load_policy
 from training.run import trainer
 from training.run.metrics import COLUMNS, Metrics, read_metrics
 from training.run.train_options import Train
@@ -70,14 +71,15 @@ def watched(monkeypatch: pytest.MonkeyPatch) -> list[Watched]:
     return Watched.seen
 
 
-def test_seed_plants_and_updates_for_each_step_arrive(
+def test_seed_plants_start_and_updates_for_each_step_arrive(
     tmp_path: Path, demonstrations: Path, watched: list[Watched]
 ) -> None:
-    train(
+    policy = train(
         config(
             tmp_path / "run",
             demonstrations,
             algorithm="td3",
+            start="anywhere",
             seed=5,
             randomize=1.0,
             numbers={"updates_per_step": 3},
@@ -86,6 +88,7 @@ def test_seed_plants_and_updates_for_each_step_arrive(
     (collector,) = watched
     assert collector.seed == 5
     assert isinstance(collector.env.randomization, Randomization)
+    assert collector.env.start == policy.start == load_policy(tmp_path / "run").start == "anywhere"
     assert len(collector.actors) == 21  # for 61 updates, 3 for each step
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
+from cdcsr.tasks.starts import StartName
 from training.config.run_description import Changes, PresetName, RunDescription
 
 
@@ -42,6 +43,7 @@ def trained(
     changes: Changes = (),
     demonstrations: int = 10,
     randomize: float = 0.0,
+    start: StartName = "still",
 ) -> Cell:
     """Return the cell of a training run; if no evaluation is named it gets the nominal one."""
     spec = RunDescription(
@@ -52,6 +54,7 @@ def trained(
         task=task,
         num_demonstrations=demonstrations,
         randomize=randomize,
+        start=start,
         changes=changes,
     )
     return Cell(spec, evaluations or ("nominal",), length, own_demonstrations)

@@ -47,6 +47,7 @@ class Options(TypedDict, total=False):
     centers: Array | None
     frame_skip: int
     task: str
+    start: str
 
 
 @dataclass(frozen=True)
@@ -60,7 +61,7 @@ class Subject:
     @property
     def options(self) -> Options:
         """The options of an environment that depend on who is measured."""
-        options = Options(task=self.spec.task)
+        options = Options(task=self.spec.task, start=self.spec.start)
         if isinstance(self.controller, Policy):
             options["centers"] = self.controller.centers
             options["frame_skip"] = self.controller.frame_skip
@@ -186,6 +187,7 @@ def plants(subject: Subject, episodes: int) -> Iterator[Row]:
                     episodes=episodes,
                     nominal=points[0],
                     task=subject.spec.task,
+                    start=subject.spec.start,
                 )
             for point in points:
                 if point.result is not None:  # the engine could simulate that plant
