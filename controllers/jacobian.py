@@ -55,7 +55,7 @@ class JacobianController(Controller):
         self.calm, self.calm_within = calm, calm_within
         num_cables = robot.num_cables
         self._without_sliders = np.r_[0:6, 6 + num_cables : robot.num_coordinates]
-        hinges = np.repeat([(j.stiffness, j.damping) for _, j in robot.links], 2, axis=0)
+        hinges = np.array([(hinge.stiffness, hinge.damping) for hinge in robot.hinges])
         self._stiffness = np.concatenate([np.zeros(6), hinges[:, 0]])
         self._damping = np.concatenate([np.zeros(6), hinges[:, 1]])
         self._servo_gain = np.array([servo.gain for servo in robot.servos])
@@ -112,7 +112,7 @@ class JacobianController(Controller):
         return offset, -period * np.einsum("nji,ncj->nic", response, cables)
 
     def _predict_hinges(self, dynamics: Dynamics, period: float) -> tuple[Array, Array]:
-        """Predict the hinge rates after one period: offset (n, 2 J) + slope (n, 2 J, C) @ t."""
+        """Predict the hinge rates after one period: offset (n, H) + slope (n, H, C) @ t."""
         implicit, force, rate, cables = self._equation(dynamics, period)
         pulls = np.concatenate([force[:, :, None], -cables.swapaxes(1, 2)], axis=2)
         after: Array = np.linalg.solve(implicit, period * pulls).astype(np.float64)

@@ -96,8 +96,7 @@ class Policy(Controller):
             CdcsrError: the plant has other links or cables.
         """
         ours, theirs = (
-            [(s.links, s.cables.angles_deg) for s in robot.segments]
-            for robot in (self.robot, plant)
+            [(s.links, s.cable_angles) for s in robot.segments] for robot in (self.robot, plant)
         )
         if ours != theirs:
             raise CdcsrError(

@@ -12,6 +12,7 @@ from cdcsr.robot.description import Robot
 from cdcsr.robot.routing import routing
 from cdcsr.simulation.contract import Array
 from cdcsr.simulation.engines import make_simulation
+from cdcsr.simulation.rotations import at_start
 
 _BEND = 0.3
 """The largest hinge angle of the bent state, in [rad]; less where the hinge's limit is smaller."""
@@ -44,7 +45,7 @@ class Summary(TypedDict):
     total_mass: float
     """[kg]"""
     center_of_mass: list[float]
-    """The centre of mass of the straight robot, three numbers in [m], world frame."""
+    """The centre of mass of the straight robot at the start, three numbers in [m], world frame."""
     cables: list[Cable]
     backends: list[str]
     mass_matrix_difference: dict[str, MassDifference]
@@ -54,14 +55,14 @@ class Summary(TypedDict):
 def summarize(robot: Robot, backends: Sequence[str]) -> Summary:
     """Summarize a robot, and compare its mass matrix in some engines."""
     route = routing(robot)
-    segments = [s for s, segment in enumerate(robot.segments) for _ in segment.cables.angles_deg]
+    segments = [s for s, segment in enumerate(robot.segments) for _ in segment.cable_angles]
     return {
         "robot": robot.name,
         "fingerprint": robot.fingerprint,
         "bodies": 1 + robot.num_cables + robot.num_links,
-        "degrees_of_freedom": robot.num_coordinates,
+        "degrees_of_freedom": robot.num_coordinates - 6 * (robot.base.mount == "fixed"),
         "total_mass": robot.total_mass,
-        "center_of_mass": (_center_of_mass(robot).round(12) + 0.0).tolist(),
+        "center_of_mass": (at_start(robot, _center_of_mass(robot)).round(12) + 0.0).tolist(),
         "cables": [
             {"name": f"cable_{c}", "segment": s, "rest_length": float(route.rest_length[c])}
             for c, s in enumerate(segments)
@@ -83,7 +84,7 @@ def show(summary: Summary) -> str:
         f"centre of mass      ({x:.6g}, {y:.6g}, {z:.6g}) m, straight",
         f"cables              {len(cables)}, rest lengths in m:",
     ]
-    for s in range(max(cable["segment"] for cable in cables) + 1):
+    for s in sorted({cable["segment"] for cable in cables}):
         lengths = [f"{cable['rest_length']:.6g}" for cable in cables if cable["segment"] == s]
         lines.append(f"  segment {s}         {', '.join(lengths)}")
     first = summary["backends"][0]
@@ -97,16 +98,16 @@ def show(summary: Summary) -> str:
 
 
 def _center_of_mass(robot: Robot) -> Array:
-    """Return the centre of mass of the straight robot, shape (3,), in [m], world frame."""
+    """Return the centre of mass of the straight robot, shape (3,), in [m], in the base's frame."""
     route = routing(robot)
-    moment, height = np.zeros(3), robot.top
+    moment, height = np.zeros(3), robot.first_joint
     for link, _ in robot.links:
-        moment[2] += link.mass * (height + link.length / 2)
+        moment[2] += link.mass * (height + link.center_of_mass)
         height += link.length
     for servo, place, offset in zip(
         robot.servos, route.place, route.guide_offset + route.slider_offset, strict=True
     ):
-        moment += servo.mass * np.array([*place, robot.top - offset])
+        moment += servo.mass * np.array([*place, robot.first_joint - offset])
     return moment / robot.total_mass
 
 
@@ -128,7 +129,7 @@ def _mass_matrices(robot: Robot, backend: str) -> Array:
     """Return the mass matrices of two copies, shape (2, nv, nv): one is straight, one is bent and
     its base is turned."""
     random = np.random.default_rng(0)
-    limit = min([_BEND, *(joint.limit for _, joint in robot.links)])
+    limit = min([_BEND, *(hinge.limit for hinge in robot.hinges)])
     quaternion = random.normal(size=4)
     bent = [
         random.uniform(-1, 1, 3),

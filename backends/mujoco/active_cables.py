@@ -88,8 +88,7 @@ class Cables:
         self._recovering = False
         self._keep = 1 - robot.time_step / robot.constraint.recovery_time
         self._length, self._held = many.bind("ten_length"), many.bind("eq_active")
-        self._travel = many.bind("qpos")[:, 7 : 7 + cables]
-        self._push = many.bind("qfrc_constraint")[:, 6 : 6 + cables]
+        self._travel, self._push = _sliders(robot, many)
 
     def set_rest_length(self, ids: NDArray[np.int64], offset: Array) -> None:
         """Make the cables of copies `ids` longer than described by `offset`, shape (n, C), in
@@ -132,7 +131,7 @@ class Cables:
             Shape (num, C), in [m].
         """
         excess = self._length - self._rest
-        if not (self._recovering or excess.max() > _EXCESS):
+        if not (self._recovering or excess.max(initial=0) > _EXCESS):
             return self._rest
         left = np.where(excess > _EXCESS, self._keep * excess, 0.0)
         target = self._rest - self._described_rest + left
@@ -154,8 +153,7 @@ class Limits:
         cables = robot.num_cables
         self.tension = np.zeros((many.nsim, cables))
         self._batch, self._slider_offset = many, routing(robot).slider_offset
-        self._travel = many.bind("qpos")[:, 7 : 7 + cables]
-        self._push = many.bind("qfrc_constraint")[:, 6 : 6 + cables]
+        self._travel, self._push = _sliders(robot, many)
 
     def set_rest_length(self, ids: NDArray[np.int64], offset: Array) -> None:
         """Make the cables of copies `ids` longer than described by `offset`, shape (n, C), in
@@ -169,3 +167,14 @@ class Limits:
         side = np.sign(self._slider_offset - self._travel)
         self._batch.step(stage=CURRENT)
         np.maximum(self._push * side, 0, out=self.tension)
+
+
+def base_size(robot: Robot) -> tuple[int, int]:
+    """Return how many numbers of qpos and of qvel belong to the base."""
+    return (7, 6) if robot.base.mount == "free" else (0, 0)
+
+
+def _sliders(robot: Robot, many: batch.Batch) -> tuple[Array, Array]:
+    """Return the sliders' part of the positions and of the constraint forces."""
+    (q, v), cables = base_size(robot), robot.num_cables
+    return many.bind("qpos")[:, q : q + cables], many.bind("qfrc_constraint")[:, v : v + cables]

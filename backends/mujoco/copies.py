@@ -13,20 +13,21 @@ def write_plant(many: batch.Batch, ids: NDArray[np.int64], plant: Plant) -> None
     """Give copies `ids` the parameters in the rows of `plant`, but for the rest lengths of cables.
 
     The model has the order of the description: the base's body is the first and the links' bodies
-    are the last, root to tip; sliders precede hinges. The caller must call `forward` afterwards, so
-    that what the batch has computed from the state is up to date.
+    are the last, root to tip; sliders precede hinges, and both follow the base. The caller must
+    call `forward` afterwards, so that what the batch has computed from the state is up to date.
     """
     model = many.model
     base, first_link = model.body("base").id, model.body("link_0").id
+    joints = slice(model.nv - plant.damping.shape[1], None)
     mass, inertia = many.expand("body_mass"), many.expand("body_inertia")
     armature = many.expand("dof_armature")
     before = mass[ids], inertia[ids], armature[ids]
     mass[ids, base], inertia[ids, base] = plant.base_mass, plant.base_inertia
     mass[ids, first_link:], inertia[ids, first_link:] = plant.link_mass, plant.link_inertia
     many.expand("jnt_stiffness")[ids, -plant.stiffness.shape[1] :] = plant.stiffness
-    many.expand("dof_damping")[ids, 6:] = plant.damping
+    many.expand("dof_damping")[ids, joints] = plant.damping
     if model.dof_armature.any():  # see stepping_spec
-        armature[ids, 6:] = model.opt.timestep * plant.damping
+        armature[ids, joints] = model.opt.timestep * plant.damping
     many.expand("actuator_gainprm")[ids, :, 0] = plant.servo_gain
     many.expand("actuator_biasprm")[ids, :, 1] = -plant.servo_gain
     # The softness of constraints depends on the masses; no other parameter here changes it.

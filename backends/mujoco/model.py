@@ -12,8 +12,11 @@ from collections.abc import Mapping
 import mujoco
 import numpy as np
 
-from cdcsr.robot.description import Robot, Segment
+from cdcsr.robot.description import Robot
+from cdcsr.robot.meshes import link_parts
+from cdcsr.robot.parts import Joint, Link
 from cdcsr.robot.routing import Routing, routing
+from cdcsr.simulation.rotations import at_start
 
 _INTEGRATORS = {
     "implicitfast": mujoco.mjtIntegrator.mjINT_IMPLICITFAST,
@@ -32,12 +35,13 @@ _CABLE, _RED = (0.9, 0.55, 0.1, 1), (0.85, 0.2, 0.2, 1)
 def build_spec(robot: Robot, meshes: Mapping[str, str] | None = None) -> mujoco.MjSpec:
     """Build the robot's MjSpec, ready to compile or to write as MJCF.
 
-    The degrees of freedom have the contract's order: free base, sliders, hinges root to tip.
+    The degrees of freedom have the contract's order: base, if it is free, sliders, hinges root to
+    tip.
 
     Args:
         robot: the description.
-        meshes: the files of visual meshes by part (``base``, ``link_<segment>``,
-            ``slider_<segment>``); without them a part looks like a box, a cylinder or a ball.
+        meshes: the files of visual meshes by the names of :func:`cdcsr.robot.meshes.visual_meshes`;
+            without them a part looks like a box, a cylinder or a ball.
     """
     spec = mujoco.MjSpec()
     spec.modelname = robot.name
@@ -47,12 +51,15 @@ def build_spec(robot: Robot, meshes: Mapping[str, str] | None = None) -> mujoco.
         spec.add_mesh(name=part, file=file)
     base = spec.worldbody.add_body(
         name="base",
+        pos=robot.base.position,
+        quat=robot.base.quaternion,
         mass=robot.base.mass,
         inertia=robot.base.inertia,
         ipos=[0, 0, 0],
         explicitinertial=True,
     )
-    base.add_freejoint(name="base")
+    if robot.base.mount == "free":
+        base.add_freejoint(name="base")
     _draw(base, meshes, "base", mujoco.mjtGeom.mjGEOM_BOX, [s / 2 for s in robot.base.size], _GREY)
     route = routing(robot)
     _add_sliders(base, robot, route, meshes)
@@ -75,7 +82,7 @@ def use_own_softness(spec: mujoco.MjSpec) -> None:
 def _set_options(spec: mujoco.MjSpec, robot: Robot) -> None:
     option = spec.option
     option.timestep = robot.time_step
-    option.gravity = [0, 0, 0]
+    option.gravity = robot.gravity
     option.integrator = _INTEGRATORS[robot.mujoco.integrator]
     # With few constraints and many coordinates it is cheaper than Newton, and as exact.
     option.solver = mujoco.mjtSolver.mjSOL_PGS
@@ -105,10 +112,10 @@ def _add_sliders(
     base: mujoco.MjsBody, robot: Robot, route: Routing, meshes: Mapping[str, str] | None
 ) -> None:
     parts = [
-        f"slider_{s}" for s, segment in enumerate(robot.segments) for _ in segment.cables.angles_deg
+        f"slider_{s}" for s, segment in enumerate(robot.segments) for _ in segment.cable_angles
     ]
     for c, servo in enumerate(robot.servos):
-        height = robot.top - route.guide_offset[c] - route.slider_offset[c]
+        height = robot.first_joint - route.guide_offset[c] - route.slider_offset[c]
         slider = base.add_body(
             name=f"slider_{c}",
             pos=[*route.place[c], height],
@@ -143,52 +150,49 @@ def _add_arm(
             guides[c].append(name)
 
     all_cables = list(range(robot.num_cables))
-    add_guides(base, all_cables, "base", [robot.top - o for o in route.guide_offset])
-    body, joint_at = base, robot.top
-    j = 0
-    for s, segment in enumerate(robot.segments):
-        for _ in range(segment.links):
-            body = _add_link(body, segment, j, joint_at)
-            link = segment.link
-            _draw(
-                body,
-                meshes,
-                f"link_{s}",
-                mujoco.mjtGeom.mjGEOM_CYLINDER,
-                [link.radius, link.length / 2],
-                _GREY,
-                (0, 0, link.length / 2),
-            )
-            passing = [c for c in all_cables if route.joints[c] > j]
-            add_guides(body, passing, f"{j}_low", [route.guide_offset[c] for c in passing])
-            add_guides(
-                body, passing, f"{j}_high", [link.length - route.guide_offset[c] for c in passing]
-            )
-            joint_at = link.length
-            j += 1
+    add_guides(base, all_cables, "base", [robot.first_joint - o for o in route.guide_offset])
+    body, joint_at = base, robot.first_joint
+    for j, ((link, joint), part) in enumerate(zip(robot.links, link_parts(robot), strict=True)):
+        body = _add_link(body, link, joint, j, joint_at)
+        _draw(
+            body,
+            meshes,
+            part,
+            mujoco.mjtGeom.mjGEOM_CYLINDER,
+            [link.radius, link.length / 2],
+            _GREY,
+            (0, 0, link.length / 2),
+        )
+        passing = [c for c in all_cables if route.joints[c] > j]
+        add_guides(body, passing, f"{j}_low", [route.guide_offset[c] for c in passing])
+        add_guides(
+            body, passing, f"{j}_high", [link.length - route.guide_offset[c] for c in passing]
+        )
+        joint_at = link.length
     body.add_site(name="tip", pos=[0, 0, joint_at], size=[0.01, 0, 0], rgba=_RED)
     return guides
 
 
-def _add_link(parent: mujoco.MjsBody, segment: Segment, j: int, height: float) -> mujoco.MjsBody:
-    link, joint = segment.link, segment.joint
+def _add_link(
+    parent: mujoco.MjsBody, link: Link, joint: Joint, j: int, height: float
+) -> mujoco.MjsBody:
     body = parent.add_body(
         name=f"link_{j}",
         pos=[0, 0, height],
         mass=link.mass,
         inertia=link.inertia,
-        ipos=[0, 0, link.length / 2],
+        ipos=[0, 0, link.center_of_mass],
         explicitinertial=True,
     )
-    for axis, direction in (("x", [1, 0, 0]), ("y", [0, 1, 0])):
+    for hinge in joint.hinges:
         body.add_joint(
-            name=f"hinge_{j}_{axis}",
+            name=f"hinge_{j}_{hinge.axis}",
             type=mujoco.mjtJoint.mjJNT_HINGE,
-            axis=direction,
-            stiffness=joint.stiffness,
-            damping=joint.damping,
+            axis=[float(axis == hinge.axis) for axis in "xyz"],
+            stiffness=hinge.stiffness,
+            damping=hinge.damping,
             limited=mujoco.mjtLimited.mjLIMITED_TRUE,
-            range=[-joint.limit, joint.limit],
+            range=[-hinge.limit, hinge.limit],
         )
     return body
 
@@ -247,8 +251,7 @@ def _add_sensors(spec: mujoco.MjSpec) -> None:
 
 def _add_scenery(spec: mujoco.MjSpec, robot: Robot) -> None:
     """Add light, and what viewers look at; neither has any influence on the motion."""
-    middle = (robot.top + robot.arm_length) / 2
-    spec.stat.center = [0, 0, middle]
+    spec.stat.center = at_start(robot, [0, 0, (robot.top + robot.arm_length) / 2])
     spec.stat.extent = float(np.hypot(robot.arm_length, robot.base.size[0]))
     spec.worldbody.add_light(
         pos=[2, -3, robot.arm_length + 2],

@@ -7,7 +7,7 @@ import numpy as np
 from mujoco import batch
 from numpy.typing import NDArray
 
-from backends.mujoco.active_cables import CURRENT, Cables, Limits, stepping_spec
+from backends.mujoco.active_cables import CURRENT, Cables, Limits, base_size, stepping_spec
 from backends.mujoco.copies import write_plant
 from cdcsr.errors import CdcsrError, Diverged
 from cdcsr.robot.description import Robot
@@ -22,6 +22,7 @@ from cdcsr.simulation.contract import (
     camera_angles,
 )
 from cdcsr.simulation.engines import processors
+from cdcsr.simulation.loads import Loads
 from cdcsr.simulation.plant import Plant
 from cdcsr.simulation.rotations import rotation_matrix
 
@@ -44,7 +45,7 @@ class MujocoSimulation(Simulation):
 
     engine = "mujoco"
     title = "MuJoCo"
-    capabilities = frozenset({"render", "bit_exact"})
+    capabilities = frozenset({"render", "bit_exact", "any_arm"})
 
     def __init__(
         self,
@@ -69,6 +70,10 @@ class MujocoSimulation(Simulation):
         self._qpos, self._qvel = self.batch.bind("qpos"), self.batch.bind("qvel")
         self._time, self._ctrl = self.batch.bind("time"), self.batch.bind("ctrl")
         self._cables = cables(self.robot, self.batch)
+        self._q, self._v = base_size(self.robot)
+        first_link = model.body("link_0").id
+        self._frames = self.batch.bind("xmat").reshape(self.num, -1, 3, 3)[:, first_link:]
+        self._wrenches = self.batch.bind("xfrc_applied")[:, first_link:]
         self._scratch = mujoco.MjData(model)
         # Receives the model of a copy that is looked at; None while all copies have the same model.
         self._own_model: mujoco.MjModel | None = None
@@ -86,23 +91,30 @@ class MujocoSimulation(Simulation):
         self.batch.reset(ids, stage=CURRENT)
         travel = self.plant.start_travel[ids]
         if travel.any():
-            self._qpos[ids, 7 : 7 + self.robot.num_cables] = travel
+            self._qpos[ids, self._q : self._q + self.robot.num_cables] = travel
             self.batch.forward(ids, stage=CURRENT)
         self._cables.tension[ids] = 0
 
     def _place(self, ids: NDArray[np.int64], position: Array, velocity: Array) -> None:
         self.batch.reset(ids, stage=int(mujoco.mjtStage.mjSTAGE_NONE))
-        self._qpos[ids], self._qvel[ids] = position, velocity
-        to_body = rotation_matrix(position[:, 3:7]).swapaxes(1, 2)
-        self._qvel[ids, 3:6] = np.einsum("nij,nj->ni", to_body, velocity[:, 3:6])
+        self._qpos[ids] = position[:, 7 - self._q :]
+        self._qvel[ids] = velocity[:, 6 - self._v :]
+        if self._v:
+            to_body = rotation_matrix(position[:, 3:7]).swapaxes(1, 2)
+            self._qvel[ids, 3:6] = np.einsum("nij,nj->ni", to_body, velocity[:, 3:6])
         self._cables.tension[ids] = 0
         self.batch.forward(ids, stage=CURRENT)
 
     def _step(self, command: Array, substeps: int) -> None:
         self._ctrl[:] = command
         for _ in range(substeps):
+            if self.loads.active:
+                self._set_loads()
             self._cables.step()
         self._check_divergence()
+
+    def _set_loads(self) -> None:
+        self._wrenches[..., :3], self._wrenches[..., 3:] = self.loads.at_centers(self._frames)
 
     def _check_divergence(self) -> None:
         # NaN compares false, so "not below" catches it too.
@@ -116,7 +128,7 @@ class MujocoSimulation(Simulation):
     def state(self) -> State:
         num_cables = self._ctrl.shape[1]
         sensors = self._sensors.copy()
-        qpos, qvel = self._qpos.copy(), self._qvel.copy()
+        qpos, qvel = self._whole_position(), self._whole_velocity()
         return State(
             time=self._time.copy(),
             tip_position=sensors[:, 0:3],
@@ -132,14 +144,14 @@ class MujocoSimulation(Simulation):
         )
 
     def _get_snapshot(self) -> Snapshot:
-        velocity = self._qvel.copy()
+        velocity = self._whole_velocity()
         velocity[:, 3:6] = self._sensors[:, 6:9]  # MuJoCo's own is in the base frame
         private = np.concatenate([self.batch.state, self._cables.tension], axis=1)
         return Snapshot(
             self.engine,
             self.robot.fingerprint,
             self._time.copy(),
-            self._qpos.copy(),
+            self._whole_position(),
             velocity,
             private,
         )
@@ -153,6 +165,20 @@ class MujocoSimulation(Simulation):
             self._place(np.arange(self.num), snapshot.position, snapshot.velocity)
             self._time[:] = snapshot.time
         self.batch.forward(stage=CURRENT)
+
+    def _whole_position(self) -> Array:
+        """Return the positions of all copies with those of the base, shape (num, 7 + C + H)."""
+        if self._q:
+            return self._qpos.copy()
+        base = self.robot.base
+        fixed = np.tile([*base.position, *base.quaternion], (self.num, 1))
+        return np.concatenate([fixed, self._qpos], axis=1)
+
+    def _whole_velocity(self) -> Array:
+        """Return the velocities of all copies with those of the base, shape (num, nv)."""
+        if self._v:
+            return self._qvel.copy()
+        return np.concatenate([np.zeros((self.num, 6)), self._qvel], axis=1)
 
     def write_to(self, data: mujoco.MjData, index: int = 0) -> None:
         """Write the state of one copy into MuJoCo data with the same coordinates.
@@ -170,29 +196,40 @@ class MujocoSimulation(Simulation):
     def dynamics(self, ids: Ids = None) -> Dynamics:
         chosen = self._chosen(ids)
         model, data, own = self.model, self._scratch, self._own_model
-        nv, num_cables = self.model.nv, self.robot.num_cables
+        nv, num_cables = self.robot.num_coordinates, self.robot.num_cables
         mass, tip = np.zeros((len(chosen), nv, nv)), np.zeros((len(chosen), 3, nv))
-        bias, passive = np.zeros((2, len(chosen), nv))
-        cables, velocity = np.zeros((len(chosen), num_cables, nv)), np.zeros((len(chosen), nv))
+        bias, passive, velocity = np.zeros((3, len(chosen), nv))
+        cables = np.zeros((len(chosen), num_cables, nv))
         length = np.zeros((len(chosen), num_cables))
-        tip_site, diagonal = model.site("tip").id, np.arange(nv)
+        own_mass, own_tip = np.zeros((model.nv, model.nv)), np.zeros((3, model.nv))
+        tip_site, diagonal = model.site("tip").id, np.arange(model.nv)
+        moved = slice(6 - self._v, None)  # all but a fixed base
+        mass[:, :6, :6] = np.eye(6)
         for i, copy in enumerate(chosen):
             if own is not None:
                 model = self.batch.get_model(int(copy), own)
             data.qpos, data.qvel = self._qpos[copy], self._qvel[copy]
             mujoco.mj_fwdPosition(model, data)
             mujoco.mj_fwdVelocity(model, data)
-            mujoco.mj_fullM(model, data, mass[i])
-            mass[i, diagonal, diagonal] -= model.dof_armature  # no mass: see stepping_spec
-            mujoco.mj_jacSite(model, data, tip[i], None, tip_site)
-            bias[i], passive[i], velocity[i] = data.qfrc_bias, data.qfrc_passive, data.qvel
-            cables[i], length[i] = _dense_tendon_jacobian(model, data), data.ten_length
+            mujoco.mj_fullM(model, data, own_mass)
+            own_mass[diagonal, diagonal] -= model.dof_armature  # no mass: see stepping_spec
+            mass[i, moved, moved] = own_mass
+            mujoco.mj_jacSite(model, data, own_tip, None, tip_site)
+            tip[i, :, moved] = own_tip
+            bias[i, moved], passive[i, moved] = data.qfrc_bias, data.qfrc_passive
+            velocity[i, moved] = data.qvel
+            cables[i, :, moved], length[i] = _dense_tendon_jacobian(model, data), data.ten_length
+            if self.loads.active:
+                passive[i, moved] += _load_force(model, data, self.loads, int(copy))
+        if not self._v:
+            return Dynamics(mass, bias, passive, tip, cables, velocity, length)
         # MuJoCo's base angular velocity is in the base frame: v_body = R^T v_world. The rate of R^T
         # has no part in the bias, because the rotation of a body leaves its angular velocity
         # unchanged.
         turn = rotation_matrix(self._qpos[chosen, 3:7])
         velocity[:, 3:6] = np.einsum("nij,nj->ni", turn, velocity[:, 3:6])
         bias[:, 3:6] = np.einsum("nij,nj->ni", turn, bias[:, 3:6])
+        passive[:, 3:6] = np.einsum("nij,nj->ni", turn, passive[:, 3:6])
         mass[:, 3:6, :] = turn @ mass[:, 3:6, :]
         mass[:, :, 3:6] = mass[:, :, 3:6] @ turn.swapaxes(1, 2)
         tip[:, :, 3:6] = tip[:, :, 3:6] @ turn.swapaxes(1, 2)
@@ -233,3 +270,15 @@ def _dense_tendon_jacobian(model: mujoco.MjModel, data: mujoco.MjData) -> Array:
         dense, data.ten_J.ravel(), model.ten_J_rownnz, model.ten_J_rowadr, columns
     )
     return dense
+
+
+def _load_force(model: mujoco.MjModel, data: mujoco.MjData, loads: Loads, copy: int) -> Array:
+    """Return the generalized force of the loads on one copy, shape (model.nv,)."""
+    total = np.zeros(model.nv)
+    first_link = model.body("link_0").id
+    force, torque, point = loads.force[copy], loads.torque[copy], loads.point[copy]
+    for link, slot in np.argwhere(force.any(axis=-1) | torque.any(axis=-1)):
+        body, one = first_link + int(link), (link, slot)
+        place = data.xipos[body] + data.xmat[body].reshape(3, 3) @ point[one]
+        mujoco.mj_applyFT(model, data, force[one], torque[one], place, body, total)
+    return total

@@ -22,14 +22,14 @@ _BEND = 0.8
 
 def random_states(robot: Robot, num: int, seed: int) -> Snapshot:
     """Return robots turned and bent at random, with every coordinate in motion and about half of
-    the cables slack.
+    the cables slack. A fixed base stays as it is: engines read no motion of it.
 
     It is a snapshot of no engine, so that each reads only positions and velocities from it.
     """
     rng = np.random.default_rng(seed)
     quaternion = rng.normal(size=(num, 4))
     quaternion /= np.linalg.norm(quaternion, axis=1, keepdims=True)
-    limits = np.repeat([joint.limit for _, joint in robot.links], 2)
+    limits = np.array([hinge.limit for hinge in robot.hinges])
     hinges = _BEND * limits * rng.uniform(-1, 1, (num, robot.num_hinges))
     route = routing(robot)
     # A slider at minus its cable's excess length makes the cable just taut; shifted from there, the
@@ -94,7 +94,7 @@ def generalized_tip_jacobian(dynamics: Dynamics) -> Array:
     base gives way to the arm: M_bb v_base + M_bj v_joints = 0.
 
     Returns:
-        Shape (n, 3, C + 2 J).
+        Shape (n, 3, C + H).
     """
     mass, tip = dynamics.mass_matrix, dynamics.tip_jacobian
     return tip[:, :, 6:] - tip[:, :, :6] @ np.linalg.solve(mass[:, :6, :6], mass[:, :6, 6:])
@@ -103,7 +103,10 @@ def generalized_tip_jacobian(dynamics: Dynamics) -> Array:
 def coordinate_names(robot: Robot) -> list[str]:
     """Return the names of the coordinates in the contract's order."""
     base = [f"base {kind} {axis}" for kind in ("linear", "angular") for axis in "xyz"]
-    hinges = [f"hinge_{j}_{axis}" for j in range(robot.num_links) for axis in "xy"]
+    hinges = [
+        f"hinge_{j}_{hinge.axis}"
+        for j, hinge in zip(robot.link_of_hinge, robot.hinges, strict=True)
+    ]
     return base + [f"slide_{c}" for c in range(robot.num_cables)] + hinges
 
 

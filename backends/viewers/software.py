@@ -16,7 +16,7 @@ from trimesh.visual import ColorVisuals
 
 from backends.pybullet.client import connect
 from cdcsr.robot.description import Robot
-from cdcsr.robot.meshes import visual_meshes
+from cdcsr.robot.meshes import link_parts, visual_meshes
 from cdcsr.robot.poses import Poses, link_poses
 from cdcsr.robot.routing import routing
 from cdcsr.simulation.contract import camera_angles
@@ -48,10 +48,7 @@ class Renderer:
         self._disconnect = weakref.finalize(self, pybullet.disconnect, self._client)
         self._robot, self._route = robot, routing(robot)
         meshes = visual_meshes(robot)
-        segment_of = [s for s, segment in enumerate(robot.segments) for _ in range(segment.links)]
-        self._parts = [self._mesh(meshes["base"])] + [
-            self._mesh(meshes[f"link_{s}"]) for s in segment_of
-        ]
+        self._parts = [self._mesh(meshes[part]) for part in ("base", *link_parts(robot))]
         self._tip = self._ball(TIP_RADIUS, TIP_COLOR)
         self._targets: list[int] = []
         straight = np.zeros(7 + robot.num_cables + robot.num_hinges)
@@ -71,7 +68,7 @@ class Renderer:
         """Return a picture of the robot.
 
         Args:
-            position: one row of a Snapshot's position, shape (7 + C + 2 J,).
+            position: one row of a Snapshot's position, shape (7 + C + H,).
             camera: a name in :data:`cdcsr.simulation.contract.CAMERAS`.
             targets: points to mark, shape (n, 3), world frame, in [m].
             size: the height and the width of the picture in pixels.

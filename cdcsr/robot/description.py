@@ -1,10 +1,11 @@
 """The description of a cable-driven continuum space robot, read from and written to TOML.
 
-A robot is a free-floating base with a serial arm of rigid links. Each link hangs on a universal
-joint at its lower end (two crossed hinges, first about x, then about y). Links are grouped into
-segments, and every segment has its own cables. A cable runs from a servo-driven slider inside the
-base through two guides on each link that it passes, to its anchor: the upper guide of the last link
-of its own segment.
+A robot is a base, free-floating or fixed, with a serial arm of rigid links. Each link hangs on a
+universal joint at its lower end (two crossed hinges, first about x, then about y), and can have a
+hinge for torsion. Links are grouped into segments, given by their numbers or by the material of a
+backbone, and every segment may have cables of its own. A cable runs from a servo-driven slider
+inside the base through two guides on each link that it passes, to its anchor: the upper guide of
+the last link of its own segment.
 
 Lengths in [m], masses in [kg], angles in [rad] unless a name says degrees. The arm points along +z.
 """
@@ -18,11 +19,10 @@ from importlib import resources
 from pathlib import Path
 from typing import Annotated, Literal, Self
 
+import numpy as np
 import tomli_w
 from pydantic import (
     AfterValidator,
-    BaseModel,
-    ConfigDict,
     Field,
     ModelWrapValidatorHandler,
     Strict,
@@ -33,108 +33,47 @@ from pydantic_core import InitErrorDetails
 
 from cdcsr.errors import CdcsrError, unknown_choice
 from cdcsr.reading import MOST_TEXT, read_text
+from cdcsr.robot.parts import (
+    Hinge,
+    Inertia,
+    Joint,
+    Link,
+    NonNegative,
+    Part,
+    Positive,
+    Vector,
+    joined,
+)
 from cdcsr.robot.section_rules import errors_between_sections
+from cdcsr.robot.segments import Segment, Servo
 from cdcsr.robot.toml_errors import describe_all, report_again, without_echoes
 
-Positive = Annotated[float, Field(gt=0)]
-NonNegative = Annotated[float, Field(ge=0)]
-Vector = Annotated[tuple[float, float, float], Strict(False)]
 
-
-def _possible_inertia(inertia: tuple[float, float, float]) -> tuple[float, float, float]:
-    """Check that the moments are positive and that none exceeds the sum of the other two."""
-    low, mid, high = sorted(inertia)
-    if low <= 0:
-        raise ValueError("principal moments of inertia must be positive")
-    if high > (low + mid) * (1 + 1e-9):
-        raise ValueError(
-            f"no rigid body has this inertia: {high:g} exceeds {low:g} + {mid:g} "
-            "(the largest principal moment is at most the sum of the other two)"
-        )
-    return inertia
-
-
-Inertia = Annotated[Vector, AfterValidator(_possible_inertia)]
-
-
-class Part(BaseModel):
-    """A section of the description. It is frozen; unknown keys and wrong types are errors."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid", strict=True, allow_inf_nan=False)
+def _unit(quaternion: tuple[float, float, float, float]) -> tuple[float, float, float, float]:
+    """Check that a quaternion has the length 1."""
+    if abs(np.linalg.norm(quaternion) - 1) > 1e-6:
+        raise ValueError("must have the length 1")
+    return quaternion
 
 
 class Base(Part):
-    """The free-floating base: a box whose centre is the world origin at the start."""
+    """The base: a box. At the start its centre is the world origin, unless it says otherwise."""
 
+    later = ("mount", "position", "quaternion")
     size: Annotated[tuple[Positive, Positive, Positive], Strict(False)]
     """Edge lengths along x, y, z in [m]."""
     mass: Positive
     """Mass in [kg], sliders not included."""
     inertia: Inertia
     """Principal moments about the centre in [kg m^2]."""
-
-
-class Link(Part):
-    """One rigid link: a cylinder along z with its universal joint at the lower end."""
-
-    length: Positive
-    """In [m]."""
-    radius: Positive
-    """In [m]."""
-    mass: Positive
-    """In [kg]."""
-    inertia: Inertia
-    """Principal moments about the link's centre in [kg m^2]."""
-
-
-class Joint(Part):
-    """Each of the two crossed hinges of a link."""
-
-    stiffness: NonNegative
-    """In [N m/rad]; the rest angle is zero."""
-    damping: NonNegative
-    """In [N m s/rad]."""
-    limit: Annotated[float, Field(gt=0, le=3.141592653589793)]
-    """Largest angle of a hinge to either side in [rad]."""
-
-
-class Cables(Part):
-    """The cables that end at the top of one segment."""
-
-    angles_deg: Annotated[tuple[float, ...], Strict(False), Field(min_length=3)]
-    """Direction of each cable around z, in degrees from x."""
-    pitch_radius: Positive
-    """Distance of the cables from the arm's axis in [m]."""
-    guide_offset: Positive
-    """Distance of each guide from the nearer end of its link, in [m]; in the base, from the top
-    face."""
-
-
-class Servo(Part):
-    """The slider that pulls one cable, and the position servo that moves it."""
-
-    mass: Positive
-    """Mass of the slider in [kg]."""
-    damping: NonNegative
-    """Viscous friction of the slider in [N s/m]."""
-    gain: Positive
-    """Servo force per set-point error in [N/m]."""
-    eta: Positive
-    """Largest pull: set-points lie in [-eta, 0], in [m]."""
-    radius: Positive
-    """The slider is a solid ball of this radius, in [m]."""
-    offset: Positive
-    """Distance of the slider at rest below the cable's first guide, in [m]."""
-
-
-class Segment(Part):
-    """A group of equal links and the cables that end on the last of them."""
-
-    links: Annotated[int, Field(ge=1)]
-    link: Link
-    joint: Joint
-    cables: Cables
-    servo: Servo
+    mount: Literal["free", "fixed"] = "free"
+    """A free base floats; a fixed one never moves, and its mass and inertia have no effect."""
+    position: Vector = (0.0, 0.0, 0.0)
+    """Its centre at the start, in the world frame, in [m]."""
+    quaternion: Annotated[
+        tuple[float, float, float, float], Strict(False), AfterValidator(_unit)
+    ] = (1.0, 0.0, 0.0, 0.0)
+    """How it is turned at the start, w-x-y-z."""
 
 
 class Constraint(Part):
@@ -169,10 +108,13 @@ class MujocoOptions(Part):
 class Robot(Part):
     """The description of a robot; :func:`load_robot` loads one."""
 
+    later = ("gravity",)
     name: Annotated[str, Field(pattern=r"^[a-z][a-z0-9-]*$", max_length=64)]
     """Lower-case letters, digits and hyphens."""
     time_step: Positive
     """Simulation step in [s]."""
+    gravity: Vector = (0.0, 0.0, 0.0)
+    """The acceleration of free fall, in the world frame, in [m/s^2]."""
     base: Base
     constraint: Constraint
     workspace: Workspace
@@ -201,21 +143,36 @@ class Robot(Part):
     @property
     def links(self) -> tuple[tuple[Link, Joint], ...]:
         """All links with their joints, from the base to the tip."""
-        return tuple((s.link, s.joint) for s in self.segments for _ in range(s.links))
+        chain: list[tuple[Link, Joint]] = []
+        for segment in self.segments:
+            if chain and segment.stub is not None:
+                link, joint = chain[-1]
+                chain[-1] = joined(link, segment.stub), joint
+            chain += segment.chain
+        return tuple(chain)
 
     @property
     def num_links(self) -> int:
         return len(self.links)
 
     @property
+    def hinges(self) -> tuple[Hinge, ...]:
+        """All hinges from the base to the tip."""
+        return tuple(hinge for _, joint in self.links for hinge in joint.hinges)
+
+    @property
+    def link_of_hinge(self) -> tuple[int, ...]:
+        """The number of the link that each hinge carries."""
+        return tuple(n for n, (_, joint) in enumerate(self.links) for _ in joint.hinges)
+
+    @property
     def num_hinges(self) -> int:
-        """Two for each link."""
-        return 2 * self.num_links
+        return len(self.hinges)
 
     @property
     def servos(self) -> tuple[Servo, ...]:
         """The servo of each cable, segment by segment."""
-        return tuple(s.servo for s in self.segments for _ in s.cables.angles_deg)
+        return tuple(s.servo for s in self.segments for _ in s.cable_angles)
 
     @property
     def num_cables(self) -> int:
@@ -223,7 +180,7 @@ class Robot(Part):
 
     @property
     def num_coordinates(self) -> int:
-        """Degrees of freedom: base (6), sliders, hinges."""
+        """The number of coordinates: base (6, also if it is fixed), sliders, hinges."""
         return 6 + self.num_cables + self.num_hinges
 
     @property
@@ -232,9 +189,32 @@ class Robot(Part):
         return self.base.size[2] / 2
 
     @property
+    def first_joint(self) -> float:
+        """Height of the first joint above the base's centre in [m]."""
+        stub = self.segments[0].stub
+        return self.top + (stub.length if stub else 0)
+
+    @property
     def arm_length(self) -> float:
-        """From the first joint to the tip in [m]."""
-        return sum(link.length for link, _ in self.links)
+        """From the base's top face to the tip in [m]."""
+        return self.first_joint - self.top + sum(link.length for link, _ in self.links)
+
+    @property
+    def beyond_first_version(self) -> str:
+        """What this robot has that not every engine can simulate, in words; empty if nothing."""
+        joints = {joint.order + "z" * (joint.torsion is not None) for _, joint in self.links}
+        base, origin = self.base, Base.model_fields
+        found = {
+            "a fixed base": base.mount == "fixed",
+            "a base that starts elsewhere": base.position != origin["position"].default
+            or base.quaternion != origin["quaternion"].default,
+            "gravity": any(self.gravity),
+            "joints of another kind than universal": joints != {"xy"},
+            "a backbone": any(segment.backbone is not None for segment in self.segments),
+            "a link's centre of mass": any(link.center is not None for link, _ in self.links),
+            "no cables": self.num_cables == 0,
+        }
+        return ", ".join(what for what, there in found.items() if there)
 
     @property
     def total_mass(self) -> float:

@@ -17,6 +17,7 @@ from trimesh.visual import ColorVisuals
 from cdcsr import files
 from cdcsr.errors import CdcsrError
 from cdcsr.robot.description import Robot
+from cdcsr.robot.parts import Link
 from cdcsr.robot.routing import routing
 
 _SECTIONS = 32
@@ -32,15 +33,28 @@ def visual_meshes(robot: Robot) -> dict[str, trimesh.Trimesh]:
 
     Returns:
         `base` (origin at its centre), and for each segment s from 0: `link_<s>` (origin at its
-        joint, +z along the link) and `slider_<s>` (origin at its centre).
+        joint, +z along the link), `end_<s>` if its last link differs from the others, and
+        `slider_<s>` if it has cables (origin at its centre).
     """
     meshes = {"base": _base(robot)}
+    for (link, _), part in zip(robot.links, link_parts(robot), strict=True):
+        if part not in meshes:
+            meshes[part] = _link(robot, link, int(part.split("_")[1]))
     for s, segment in enumerate(robot.segments):
-        meshes[f"link_{s}"] = _link(robot, s)
-        meshes[f"slider_{s}"] = _coloured(
-            trimesh.creation.icosphere(2, segment.servo.radius), _METAL
-        )
+        if segment.cable_angles:
+            ball = trimesh.creation.icosphere(2, segment.servo.radius)
+            meshes[f"slider_{s}"] = _coloured(ball, _METAL)
     return meshes
+
+
+def link_parts(robot: Robot) -> list[str]:
+    """Return the name of each link's mesh, from the base to the tip."""
+    parts: list[str] = []
+    for s, segment in enumerate(robot.segments):
+        first, last = (robot.links[len(parts) + n][0] for n in (0, segment.links - 1))
+        end = f"link_{s}" if last == first else f"end_{s}"
+        parts += [f"link_{s}"] * (segment.links - 1) + [end]
+    return parts
 
 
 def solid_inertia(mesh: trimesh.Trimesh, mass: float) -> NDArray[np.float64]:
@@ -88,16 +102,15 @@ def export_glb(robot: Robot, path: Path) -> None:
         )
 
     place("base", "base", (0.0, 0.0, 0.0))
-    height, number = robot.top, 0
-    for s, segment in enumerate(robot.segments):
-        for _ in range(segment.links):
-            place(f"link_{s}", f"link{number}", (0.0, 0.0, height))
-            height, number = height + segment.link.length, number + 1
+    height = robot.first_joint
+    for number, ((link, _), part) in enumerate(zip(robot.links, link_parts(robot), strict=True)):
+        place(part, f"link{number}", (0.0, 0.0, height))
+        height += link.length
     route = routing(robot)
-    kinds = [s for s, segment in enumerate(robot.segments) for _ in segment.cables.angles_deg]
+    kinds = [s for s, segment in enumerate(robot.segments) for _ in segment.cable_angles]
     for c, s in enumerate(kinds):
         x, y = route.place[c]
-        low = robot.top - route.guide_offset[c] - route.slider_offset[c]
+        low = robot.first_joint - route.guide_offset[c] - route.slider_offset[c]
         # At rest the slider and the guides are in line, so the cable is drawn straight.
         line = trimesh.creation.cylinder(0.0012, height=route.rest_length[c], sections=8)
         place(f"slider_{s}", f"slider{c}", (x, y, low))
@@ -125,15 +138,22 @@ def _base(robot: Robot) -> trimesh.Trimesh:
         boom = trimesh.creation.box((0.1 * small, 0.4 * small, 0.05 * small))
         boom.apply_translation((0, side * (y + 0.1 * small), 0))
         parts += [_coloured(panel, _PANEL), _coloured(boom, _METAL)]
+    stub = robot.segments[0].stub
+    if stub is not None:
+        rod = trimesh.creation.cylinder(stub.radius, stub.length, sections=_SECTIONS)
+        rod.apply_translation((0, 0, z + stub.length / 2))
+        parts.append(_coloured(rod, _SEGMENTS[0]))
     return sum(parts, start=hull)
 
 
-def _link(robot: Robot, s: int) -> trimesh.Trimesh:
-    """Return a backbone with a ball at its joint and a disc at each guide of a passing cable."""
-    link = robot.segments[s].link
-    passing = [segment.cables for segment in robot.segments[s:]]
-    pitch = max(cables.pitch_radius for cables in passing)
+def _link(robot: Robot, link: Link, s: int) -> trimesh.Trimesh:
+    """Return a link of segment `s`: a backbone with a ball at its joint and a disc at each guide of
+    a passing cable."""
+    passing = [segment.cables for segment in robot.segments[s:] if segment.cable_angles]
+    pitch = max((cables.pitch_radius for cables in passing), default=link.radius)
     backbone, disc = 0.45 * min(pitch, link.radius), 1.6 * pitch
+    if robot.segments[s].backbone is not None:
+        backbone = link.radius
     offsets = {cables.guide_offset for cables in passing}
     heights = sorted(offsets | {link.length - offset for offset in offsets})
     gaps = np.diff([0.0, *heights, link.length])

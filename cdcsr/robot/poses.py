@@ -1,4 +1,4 @@
-"""Where the links are at given joint angles; for pictures and for what is placed on the arm."""
+"""Where links and hinges are at given angles, in plain NumPy."""
 
 from __future__ import annotations
 
@@ -23,12 +23,48 @@ class Poses(NamedTuple):
 
 
 def link_poses(robot: Robot, position: Array) -> Poses:
-    """Return the poses at one row of a Snapshot's position, shape (7 + C + 2 J,)."""
-    turn = Rotation.from_quat(np.roll(position[3:7], -1))
-    turns, place = [turn], position[:3] + turn.apply([0.0, 0.0, robot.top])
-    joints = [place]
-    hinges = position[7 + robot.num_cables :].reshape(-1, 2)
-    for (link, _), angles in zip(robot.links, hinges, strict=True):
-        turns.append(turns[-1] * Rotation.from_euler("XY", angles))
-        joints.append(joints[-1] + turns[-1].apply([0.0, 0.0, link.length]))
-    return Poses(np.array([turn.as_matrix() for turn in turns]), np.array(joints))
+    """Return the poses at one row of a Snapshot's position, shape (7 + C + H,)."""
+    base = Rotation.from_quat(position[3:7], scalar_first=True).as_matrix()
+    _, turns, joints = (part[0] for part in arms(robot, position[None, 7 + robot.num_cables :]))
+    return Poses(np.concatenate([[base], base @ turns]), position[:3] + joints @ base.T)
+
+
+class Arms(NamedTuple):
+    """The arms of n copies in the base's frame; J links, H hinges."""
+
+    axis: Array
+    """The direction of each hinge, shape (n, H, 3)."""
+    turn: Array
+    """How each link is turned, shape (n, J, 3, 3); its columns are the link's axes."""
+    joint: Array
+    """The place of each link's joint and of the tip, shape (n, J + 1, 3), in [m]."""
+
+
+def arms(robot: Robot, angles: Array) -> Arms:
+    """Return where everything is.
+
+    Args:
+        robot: the description.
+        angles: of the hinges, shape (n, H), in [rad].
+    """
+    num = len(angles)
+    axis = np.empty((num, robot.num_hinges, 3))
+    turns, joint = np.empty((num, robot.num_links, 3, 3)), np.empty((num, robot.num_links + 1, 3))
+    turn, place = np.tile(np.eye(3), (num, 1, 1)), np.tile([0.0, 0.0, robot.first_joint], (num, 1))
+    sin, cos = np.sin(angles)[..., None], np.cos(angles)[..., None]
+    hinge = 0
+    for n, (link, bends) in enumerate(robot.links):
+        joint[:, n] = place
+        for each in bends.hinges:
+            a = "xyz".index(each.axis)
+            b, c = (a + 1) % 3, (a + 2) % 3
+            axis[:, hinge] = turn[:, :, a]
+            first, second = turn[:, :, b], turn[:, :, c]
+            turned = turn.copy()
+            turned[:, :, b] = cos[:, hinge] * first + sin[:, hinge] * second
+            turned[:, :, c] = cos[:, hinge] * second - sin[:, hinge] * first
+            turn, hinge = turned, hinge + 1
+        turns[:, n] = turn
+        place = place + link.length * turn[:, :, 2]
+    joint[:, -1] = place
+    return Arms(axis, turns, joint)

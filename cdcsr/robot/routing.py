@@ -1,8 +1,8 @@
 """Cable routing in closed form: the length of each cable, and its derivatives.
 
 Between the two guides of one link the length of a cable is constant; it changes only where the
-cable crosses a joint. So the length is a sum of crossings, each a function of the two hinge angles
-of one joint, plus the straight part between slider and first guide. Base motion does not change it.
+cable crosses a joint. So the length is a sum of crossings, each a function of the hinge angles of
+one joint, plus the straight part between slider and first guide. Base motion does not change it.
 """
 
 from __future__ import annotations
@@ -58,24 +58,45 @@ class Routing(NamedTuple):
     """Distance of the slider below the first guide at rest, shape (C,), in [m]."""
     rest_length: Array
     """Length at the start, shape (C,), in [m]."""
+    hinges: NDArray[np.int64]
+    """The numbers of each joint's hinges, the lowest first, shape (J, 3); -1 is no hinge."""
+    axes: NDArray[np.int64]
+    """The axis of each of these hinges: 0, 1, 2 for x, y, z; shape (J, 3)."""
+
+    @property
+    def is_universal(self) -> bool:
+        """Whether every joint bends about x, then about y, and does not twist."""
+        return bool((self.hinges[:, 2] < 0).all() and (self.axes[:, :2] == (0, 1)).all())
 
 
 def routing(robot: Robot) -> Routing:
     """Return the routing of every cable, segment by segment in the order of the description."""
     place, offset, joints, slider, rest = [], [], [], [], []
-    crossed = 0
+    crossed, links = 0, robot.links
     for segment in robot.segments:
         crossed += segment.links
-        straight = sum(link.length for link, _ in robot.links[:crossed])
-        for angle in np.deg2rad(segment.cables.angles_deg):
+        straight = sum(link.length for link, _ in links[:crossed])
+        for angle in np.deg2rad(segment.cable_angles):
             place.append(segment.cables.pitch_radius * np.array([np.cos(angle), np.sin(angle)]))
             offset.append(segment.cables.guide_offset)
             joints.append(crossed)
             slider.append(segment.servo.offset)
             # From the slider up to the first guide, into the arm, and up to the anchor's guide.
             rest.append(segment.servo.offset + straight)
+    hinges, axes = np.full((2, len(links), 3), -1)
+    count = 0
+    for j, (_, joint) in enumerate(links):
+        for k, hinge in enumerate(joint.hinges):
+            hinges[j, k], axes[j, k] = count, "xyz".index(hinge.axis)
+            count += 1
     return Routing(
-        np.array(place), np.array(offset), np.array(joints), np.array(slider), np.array(rest)
+        np.array(place, dtype=float).reshape(-1, 2),
+        np.array(offset, dtype=float),
+        np.array(joints, dtype=np.int64),
+        np.array(slider, dtype=float),
+        np.array(rest, dtype=float),
+        hinges,
+        axes,
     )
 
 
@@ -85,12 +106,12 @@ def cable_lengths(route: Routing, travel: Array, hinges: Array) -> Array:
     Args:
         route: from :func:`routing`.
         travel: slider positions, shape (..., C), in [m]; negative is pulled.
-        hinges: hinge angles, shape (..., 2 J), in [rad], x before y, root to tip.
+        hinges: hinge angles, shape (..., H), in [rad], root to tip.
 
     Returns:
         Shape (..., C), in [m].
     """
-    length, _, _ = _crossings(route, hinges)
+    length, _ = _crossings(route, hinges)
     excess = (length - 2 * route.guide_offset[:, None]).sum(axis=-1)
     return route.rest_length - route.slider_offset + np.abs(route.slider_offset - travel) + excess
 
@@ -102,27 +123,68 @@ def cable_jacobian(route: Routing, travel: Array, hinges: Array) -> Array:
         route, travel, hinges: as for :func:`cable_lengths`.
 
     Returns:
-        Shape (..., C, C + 2 J): columns are sliders, then hinges; [m/m] and [m/rad].
+        Shape (..., C, C + H): columns are sliders, then hinges; [m/m] and [m/rad].
     """
-    _, by_x, by_y = _crossings(route, hinges)
+    _, by_hinge = _crossings(route, hinges)
     num_cables = len(route.joints)
     jacobian = np.zeros((*hinges.shape[:-1], num_cables, num_cables + hinges.shape[-1]))
     own = np.arange(num_cables)
     jacobian[..., own, own] = -np.sign(route.slider_offset - travel)
-    jacobian[..., num_cables::2] = by_x
-    jacobian[..., num_cables + 1 :: 2] = by_y
+    jacobian[..., num_cables:] = by_hinge
     return jacobian
 
 
-def _crossings(route: Routing, hinges: Array) -> tuple[Array, Array, Array]:
-    """Return length and derivatives at each cable and joint, shape (..., C, J).
+def _crossings(route: Routing, hinges: Array) -> tuple[Array, Array]:
+    """Return the length at each cable and joint, shape (..., C, J), and its derivatives with
+    respect to the hinges, shape (..., C, H).
 
     Where a cable does not cross a joint, the length is that at rest and the derivatives are zero.
     """
-    sin, cos = np.sin(hinges)[..., None, :], np.cos(hinges)[..., None, :]
-    px, py, o = route.place[:, :1], route.place[:, 1:], route.guide_offset[:, None]
-    length, by_x, by_y = crossing(
-        sin[..., ::2], cos[..., ::2], sin[..., 1::2], cos[..., 1::2], px, py, o
-    )
-    crossed = np.arange(hinges.shape[-1] // 2) < route.joints[:, None]
-    return np.where(crossed, length, 2 * o), by_x * crossed, by_y * crossed
+    o, crossed = route.guide_offset[:, None], np.arange(len(route.axes)) < route.joints[:, None]
+    by_hinge = np.zeros((*hinges.shape[:-1], len(route.joints), hinges.shape[-1]))
+    if route.is_universal:
+        sin, cos = np.sin(hinges)[..., None, :], np.cos(hinges)[..., None, :]
+        px, py = route.place[:, :1], route.place[:, 1:]
+        length, by_x, by_y = crossing(
+            sin[..., ::2], cos[..., ::2], sin[..., 1::2], cos[..., 1::2], px, py, o
+        )
+        by_hinge[..., ::2], by_hinge[..., 1::2] = by_x * crossed, by_y * crossed
+    else:
+        length, by_slot = _any_crossings(route, hinges)
+        for slot in range(3):
+            there = route.hinges[:, slot] >= 0
+            by_hinge[..., route.hinges[there, slot]] = (by_slot[slot] * crossed)[..., there]
+    return np.where(crossed, length, 2 * o), by_hinge
+
+
+def _any_crossings(route: Routing, hinges: Array) -> tuple[Array, Array]:
+    """Return what :func:`crossing` does, at joints of any hinges.
+
+    The upper guide is turned by R = R_1 R_2 R_3. A unit rate of the hinge with the axis a, as it
+    stands in the frame below the joint, moves it by a x R u.
+
+    Returns:
+        The length at each cable and joint, shape (..., C, J), and its derivative with respect to
+        the first, the second and the third hinge of the joint, shape (3, ..., C, J).
+    """
+    angles = np.where(route.hinges >= 0, hinges[..., route.hinges], 0.0)
+    turn, axes = np.eye(3), []
+    for slot in range(3):
+        axis = np.eye(3)[route.axes[:, slot]]
+        axes.append(np.einsum("...ij,...j->...i", turn, axis))
+        turn = turn @ _about(axis, angles[..., slot])
+    low = np.column_stack([route.place, -route.guide_offset])[:, None]
+    high = np.column_stack([route.place, route.guide_offset])[:, None]
+    above = np.einsum("...jab,cxb->...cja", turn, high)
+    along = above - low
+    length = np.linalg.norm(along, axis=-1)
+    moves = [np.cross(axis[..., None, :, :], above) for axis in axes]
+    return length, np.array([(along * move).sum(axis=-1) / length for move in moves])
+
+
+def _about(axis: Array, angle: Array) -> Array:
+    """Return the rotations by `angle`, shape (..., J), about unit axes (J, 3), by Rodrigues'
+    formula."""
+    cross = np.cross(axis[:, None], np.eye(3)).swapaxes(-1, -2)  # cross @ v = axis x v
+    sin, cos = np.sin(angle)[..., None, None], np.cos(angle)[..., None, None]
+    return np.eye(3) + sin * cross + (1 - cos) * (cross @ cross)

@@ -42,11 +42,19 @@ def errors_between_sections(data: Any) -> Iterator[InitErrorDetails]:
             continue
         for j in range(i + 1):
             length = number("segments", j, "link", "length")
+            rod, links = number("segments", j, "backbone", "length"), number("segments", j, "links")
             if length is not None and offset >= length / 2:
                 yield error(
                     place,
                     "puts a guide outside its link: must be below half of "
                     f"segments[{j}].link.length ({length / 2:g} m)",
+                )
+                break
+            if rod is not None and links is not None and offset >= rod / links / 4:
+                yield error(  # the last link is half a cell
+                    place,
+                    "puts a guide outside its link: must be below a quarter of "
+                    f"segments[{j}].backbone.length / links ({rod / links / 4:g} m)",
                 )
                 break
         below = number("segments", i, "servo", "offset")

@@ -8,6 +8,7 @@ from collections.abc import Iterator, Sequence
 from typing import get_args
 
 from pydantic import BaseModel, ValidationError
+from pydantic.fields import FieldInfo
 from pydantic_core import ErrorDetails, InitErrorDetails, PydanticCustomError
 
 _SHOWN = 12
@@ -73,10 +74,15 @@ def _hint(error: ErrorDetails, model: type[BaseModel]) -> str:
     if message(error) != "unknown key" or not isinstance(key, str):
         return ""
     for section in sections:
-        if isinstance(section, str) and section in model.model_fields:
-            model = _section(model.model_fields[section].annotation) or model
-    close = difflib.get_close_matches(key[:60], model.model_fields, n=1)
+        if isinstance(section, str) and section in (fields := _fields(model)):
+            model = _section(fields[section].annotation) or model
+    close = difflib.get_close_matches(key[:60], _fields(model), n=1)
     return f", did you mean {close[0]!r}?" if close else ""
+
+
+def _fields(model: type[BaseModel]) -> dict[str, FieldInfo]:
+    """Return the fields of a section by the keys with which they are written."""
+    return {field.alias or name: field for name, field in model.model_fields.items()}
 
 
 def _section(annotation: object) -> type[BaseModel] | None:

@@ -73,7 +73,8 @@ def as_command(command: ArrayLike, shape: tuple[int, ...]) -> Array:
         CdcsrError: they have another shape, are not finite, or are larger than any engine takes.
     """
     rows = as_floats("Commands", command, shape, finite=False)
-    if not np.abs(rows).max() <= _LARGEST_COMMAND:  # NaN, which some engines read as no command
+    # NaN, which some engines read as no command, is not below.
+    if not np.abs(rows).max(initial=0) <= _LARGEST_COMMAND:
         good = (np.abs(rows) <= _LARGEST_COMMAND).all(axis=1)
         copy = int(np.flatnonzero(~good)[0])
         raise CdcsrError(

@@ -1,19 +1,21 @@
 """The contract of every engine: `num` independent copies of one robot, stepped together.
 
 The first axis of every array is the copy. Generalized coordinates are always in one order: base
-linear, base angular (both in the world frame), sliders, hinges root to tip (x before y at each
-joint). In shapes, C is the number of cables, J that of joints and nv = 6 + C + 2 J.
+linear, base angular (both in the world frame), sliders, hinges root to tip (by
+:attr:`cdcsr.robot.description.Robot.hinges`: of a universal joint x before y). In shapes, C is the
+number of cables, J that of links, H that of hinges and nv = 6 + C + H. A fixed base keeps its six
+coordinates and stays at rest in them, so that all robots have the same arrays.
 """
 
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import ClassVar, Literal
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 from pydantic import BaseModel, ConfigDict
 
 from cdcsr.errors import CdcsrError, Diverged, unknown_choice
@@ -26,90 +28,20 @@ from cdcsr.simulation.arguments import (
     chosen_copies,
 )
 from cdcsr.simulation.delay_line import DelayLine
+from cdcsr.simulation.loads import Loads
 from cdcsr.simulation.plant import Parameters, Plant
+from cdcsr.simulation.state import Dynamics, Snapshot, State
 
 Array = NDArray[np.float64]
 Ids = Sequence[int] | NDArray[np.integer] | NDArray[np.bool_] | None
 """Which copies: sorted unique indices, a mask of shape (num,), or None for all copies."""
 _MOST_SUBSTEPS = 1_000_000_000
 
-Capability = Literal["render", "bit_exact", "soft_cables"]
+Capability = Literal["render", "bit_exact", "soft_cables", "any_arm"]
 """An ability that only some engines have. render: it has its own camera. bit_exact: the same
 commands give the same bits, also after a snapshot. soft_cables: cables under tension are longer
-than at rest, by millimetres."""
-
-
-@dataclass(frozen=True)
-class State:
-    """The measured state of num copies at one moment, in the world frame."""
-
-    time: Array
-    """Shape (num,), in [s]."""
-    tip_position: Array
-    """Shape (num, 3), in [m]."""
-    tip_velocity: Array
-    """Shape (num, 3), in [m/s]."""
-    base_position: Array
-    """Shape (num, 3), in [m]."""
-    base_quaternion: Array
-    """w-x-y-z, unit length, shape (num, 4)."""
-    base_velocity: Array
-    """The velocity of the base's centre, shape (num, 3), in [m/s]."""
-    base_angular_velocity: Array
-    """Shape (num, 3), in [rad/s]."""
-    cable_travel: Array
-    """Slider positions, shape (num, C), in [m]; negative is pulled."""
-    cable_tension: Array
-    """The tension in the last step, never negative, shape (num, C), in [N]."""
-    joint_angles: Array
-    """Shape (num, 2 J), in [rad]."""
-    joint_rates: Array
-    """Shape (num, 2 J), in [rad/s]."""
-
-
-@dataclass(frozen=True)
-class Dynamics:
-    """The equation of motion of n copies: M qdd + bias = passive + servos - L^T tension."""
-
-    mass_matrix: Array
-    """M, shape (n, nv, nv)."""
-    bias_force: Array
-    """Coriolis, centrifugal and gyroscopic forces, shape (n, nv)."""
-    passive_force: Array
-    """Springs and dampers of hinges and friction of sliders, shape (n, nv)."""
-    tip_jacobian: Array
-    """Tip velocity = tip_jacobian @ velocity; shape (n, 3, nv)."""
-    cable_jacobian: Array
-    """L: rate of cable length = cable_jacobian @ velocity; shape (n, C, nv)."""
-    velocity: Array
-    """Shape (n, nv)."""
-    cable_length: Array
-    """From slider to anchor, shape (n, C), in [m]."""
-
-
-@dataclass(frozen=True)
-class Snapshot:
-    """All that determines the future of every copy, except for robot and parameters.
-
-    Position and velocity are common to all engines, so a snapshot can be carried from one to
-    another. `private` holds what else the engine needs to go on to the bit.
-    """
-
-    engine: str
-    """The engine that made it."""
-    robot: str
-    """The robot's fingerprint."""
-    time: Array
-    """Shape (num,), in [s]."""
-    position: Array
-    """Base position, base quaternion (w-x-y-z), sliders, hinges; shape (num, 7 + C + 2 J)."""
-    velocity: Array
-    """In the order of coordinates, shape (num, nv)."""
-    private: Array
-    """Read only by `engine`, shape (num, ...)."""
-    commands: Array | None = None
-    """The commands of the last K time steps, oldest first, shape (num, K, C), in [m]; K is the
-    longest command delay. None means that no commands are under way."""
+than at rest, by millimetres. any_arm: it takes every description, also with a fixed or turned base,
+gravity, torsion or no cables, and it takes loads."""
 
 
 class EngineOptions(BaseModel):
@@ -131,9 +63,10 @@ class Simulation(ABC):
     Attributes:
         options: how the engine steps.
         plant: the numbers that `set_parameters` changes; read them only.
+        loads: what `set_loads` changes; read it only.
 
     Raises:
-        CdcsrError: num is below 1.
+        CdcsrError: num is below 1, or the engine cannot simulate such a robot.
     """
 
     engine: ClassVar[str]
@@ -149,10 +82,16 @@ class Simulation(ABC):
 
     def __init__(self, robot: Robot, num: int = 1, options: EngineOptions | None = None) -> None:
         check_count("The number of copies", num, MOST_COPIES)
+        if "any_arm" not in self.capabilities and robot.beyond_first_version:
+            raise CdcsrError(
+                f"The engine {self.engine!r} cannot simulate {robot.name!r}: "
+                f"{robot.beyond_first_version}; choose an engine that can (mujoco)."
+            )
         self.robot = robot
         self.num = num
         self.options = options or self.options_type()
         self.plant: Plant = Parameters().plant(robot, num)
+        self.loads = Loads(robot, num)
         self._line = DelayLine(num, robot.num_cables)
 
     @property
@@ -181,6 +120,37 @@ class Simulation(ABC):
         self._line.set_delay(chosen, delay)
         self._set_plant(chosen, plant)
 
+    def set_loads(
+        self,
+        ids: Ids,
+        link: int,
+        force: ArrayLike = (0.0, 0.0, 0.0),
+        torque: ArrayLike = (0.0, 0.0, 0.0),
+        point: ArrayLike | None = None,
+        slot: int = 0,
+    ) -> None:
+        """Let a force and a torque act on a link from the next step on, until they are set again.
+
+        Neither reset nor a snapshot changes them. The vectors have the shape (3,), or (n, 3) for
+        one each of the n copies.
+
+        Args:
+            ids: which copies.
+            link: its number, from 0 at the base; -1 is the last one.
+            force: in the world frame, in [N].
+            torque: in the world frame, in [N m].
+            point: where the force acts, in the link's frame (origin at its joint, z along it), in
+                [m]; by default the centre of mass. The point moves with the link.
+            slot: tells loads on one link apart; what is set again is the load of this slot.
+
+        Raises:
+            CdcsrError: there is no such link, the engine cannot apply loads, or a vector is wrong.
+        """
+        if "any_arm" not in self.capabilities:
+            raise CdcsrError(f"The engine {self.engine!r} cannot apply loads.")
+        self.loads.set(self._chosen(ids), link, force, torque, point, slot)
+        self._set_loads()
+
     def reset(self, ids: Ids = None) -> None:
         """Put copies back to the start: straight, at rest, time zero.
 
@@ -198,7 +168,7 @@ class Simulation(ABC):
 
         Args:
             ids: which copies; n of them.
-            position: as in a :class:`Snapshot`, shape (n, 7 + C + 2 J).
+            position: as in a :class:`Snapshot`, shape (n, 7 + C + H).
             velocity: in the order of coordinates, shape (n, nv).
 
         Raises:
@@ -296,6 +266,9 @@ class Simulation(ABC):
     @abstractmethod
     def _set_plant(self, ids: NDArray[np.int64], plant: Plant) -> None:
         """Set the numbers of copies `ids` for the next step and for `dynamics`."""
+
+    def _set_loads(self) -> None:  # noqa: B027 - an engine without loads needs none
+        """Take note that `loads` has changed; `_step` and `dynamics` must apply it."""
 
     @abstractmethod
     def _reset(self, ids: NDArray[np.int64]) -> None: ...

@@ -16,7 +16,8 @@ Array = NDArray[np.float64]
 
 
 class Plant(NamedTuple):
-    """The numbers of n copies that :class:`Parameters` change; C cables, J joints."""
+    """The numbers of n copies that :class:`Parameters` change; C cables, J joints, H
+    hinges."""
 
     base_mass: Array
     """Shape (n,), in [kg]."""
@@ -27,9 +28,9 @@ class Plant(NamedTuple):
     link_inertia: Array
     """Shape (n, J, 3), in [kg m^2]."""
     stiffness: Array
-    """The hinges' stiffness, shape (n, 2 J), in [N m/rad]."""
+    """The hinges' stiffness, shape (n, H), in [N m/rad]."""
     damping: Array
-    """The sliders' friction in [N s/m], then the hinges' damping in [N m s/rad], (n, C + 2 J)."""
+    """The sliders' friction in [N s/m], then the hinges' damping in [N m s/rad], (n, C + H)."""
     servo_gain: Array
     """Shape (n, C), in [N/m]."""
     rest_length_offset: Array
@@ -59,9 +60,9 @@ class Parameters:
     link_inertia: ArrayLike = 1.0
     """For each link, acts on all three moments; link_mass does not change the inertia."""
     joint_stiffness: ArrayLike = 1.0
-    """For each joint, acts on both of its hinges. May be zero."""
+    """For each joint, acts on all of its hinges. May be zero."""
     joint_damping: ArrayLike = 1.0
-    """For each joint, acts on both of its hinges. May be zero."""
+    """For each joint, acts on all of its hinges. May be zero."""
     slider_damping: ArrayLike = 1.0
     """For each cable, acts on the friction of its slider. May be zero."""
     servo_gain: ArrayLike = 1.0
@@ -79,12 +80,13 @@ class Parameters:
             CdcsrError: a parameter has the wrong shape, or is out of range.
         """
         links = [link for link, _ in robot.links]
-        hinges = np.repeat(
-            [(joint.stiffness, joint.damping) for _, joint in robot.links], 2, axis=0
+        hinges = np.array([(hinge.stiffness, hinge.damping) for hinge in robot.hinges])
+        of_hinge = list(robot.link_of_hinge)
+        slider_damping, gain, room = (
+            np.array([(s.damping, s.gain, s.offset) for s in robot.servos], dtype=float)
+            .reshape(-1, 3)
+            .T
         )
-        slider_damping, gain, room = np.array(
-            [(s.damping, s.gain, s.offset) for s in robot.servos]
-        ).T
         offset = self._values("rest_length_offset", num, robot.num_cables)
         if not (offset > -room).all():
             raise CdcsrError(
@@ -101,10 +103,8 @@ class Parameters:
             * np.array([link.mass for link in links]),
             link_inertia=self._factors("link_inertia", num, len(links))[..., None]
             * np.array([link.inertia for link in links]),
-            stiffness=np.repeat(stiffness, 2, axis=1) * hinges[:, 0],
-            damping=np.hstack(
-                [friction * slider_damping, np.repeat(damping, 2, axis=1) * hinges[:, 1]]
-            ),
+            stiffness=stiffness[:, of_hinge] * hinges[:, 0],
+            damping=np.hstack([friction * slider_damping, damping[:, of_hinge] * hinges[:, 1]]),
             servo_gain=self._factors("servo_gain", num, robot.num_cables) * gain,
             rest_length_offset=offset,
         )

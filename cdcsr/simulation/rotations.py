@@ -1,9 +1,11 @@
-"""Convert unit quaternions w-x-y-z to rotation matrices."""
+"""Rotation matrices, and where the base is at the start."""
 
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
+
+from cdcsr.robot.description import Robot
 
 Array = NDArray[np.float64]
 
@@ -17,3 +19,17 @@ def rotation_matrix(quaternion: Array) -> Array:
         [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
     ]
     return np.moveaxis(np.array(rows), (0, 1), (-2, -1))
+
+
+def at_start(robot: Robot, points: ArrayLike) -> Array:
+    """Return where points in the base's frame are in the world at the start.
+
+    Args:
+        robot: the description.
+        points: shape (..., 3), in [m].
+
+    Returns:
+        The same shape; the same numbers if the base starts at the origin and is not turned.
+    """
+    turn = rotation_matrix(np.array(robot.base.quaternion))
+    return np.asarray(points) @ turn.T + robot.base.position

@@ -1,9 +1,10 @@
 """Mirror images of a robot that are the robot itself; their effect on observations and commands.
 
 The robot is built around the z axis: its bodies are symmetric, and the mirror image of a hinge
-about x or y is such a hinge. So the image of the robot in the plane x = 0, in y = 0, or in both (a
-half-turn) is the robot itself if the same holds for the cables of every segment. Given the image of
-a command, the robot then does the image of what it does given the command, in any engine.
+about x, y or z is such a hinge. So the image of the robot in the plane x = 0, in y = 0, or in both
+(a half-turn) is the robot itself if the same holds for the cables of every segment, for gravity and
+for the place of the base. Given the image of a command, the robot then does the image of what it
+does given the command, in any engine.
 """
 
 from __future__ import annotations
@@ -61,9 +62,15 @@ def _cables(robot: Robot, x: int, y: int) -> list[int] | None:
     two cables at the same angle leave that open."""
     if x == y == 1:
         return list(range(robot.num_cables))
+    base = robot.base
+    across = [vector[axis] for vector in (base.position, robot.gravity) for axis in _crossed(x, y)]
+    if any(across) or base.quaternion != (1.0, 0.0, 0.0, 0.0):
+        return None
     cables: list[int] = []
     for segment in robot.segments:
-        angles = np.array(segment.cables.angles_deg)
+        if not segment.cable_angles:
+            continue
+        angles = np.array(segment.cable_angles)
         turned = angles if x > 0 else 180 - angles
         turned = turned if y > 0 else -turned
         apart = np.abs((turned[:, None] - angles + 180) % 360 - 180)  # (image, cable)
@@ -71,6 +78,11 @@ def _cables(robot: Robot, x: int, y: int) -> list[int] | None:
             return None
         cables += (len(cables) + apart.argmin(0)).tolist()
     return cables
+
+
+def _crossed(x: int, y: int) -> list[int]:
+    """Return the axes whose direction a mirror changes."""
+    return [axis for axis, sign in enumerate((x, y)) if sign < 0]
 
 
 def _signs(x: int, y: int, num_cables: int) -> Array:

@@ -146,7 +146,7 @@ def energy(robot: Robot, simulation: Simulation, command: Array) -> Array:
     kinetic = 0.5 * np.einsum(
         "ni,nij,nj->n", equation.velocity, equation.mass_matrix, equation.velocity
     )
-    stiffness = np.array([joint.stiffness for _, joint in robot.links for _ in "xy"])
+    stiffness = np.array([hinge.stiffness for hinge in robot.hinges])
     gain = np.array([servo.gain for servo in robot.servos])
     springs = 0.5 * state.joint_angles**2 @ stiffness
     return kinetic + springs + 0.5 * (state.cable_travel - command) ** 2 @ gain

@@ -117,7 +117,7 @@ def _draw_robot(axes: Axes3D, robot: Robot) -> None:
 
 def _draw_arm(axes: Axes3D, robot: Robot) -> None:
     """Draw the part of the straight arm and its joints that lies within the axes."""
-    joints = robot.top + np.cumsum([0.0] + [link.length for link, _ in robot.links])
+    joints = robot.first_joint + np.cumsum([0.0] + [link.length for link, _ in robot.links])
     low, high = axes.get_zlim()
     inside = joints[(joints >= low) & (joints <= high)]
     zero = np.zeros(len(inside))

@@ -45,7 +45,7 @@ class Recording:
 
     backend: str
     position: Array
-    """Generalized positions as in a Snapshot, shape (steps + 1, N, 7 + C + 2 J)."""
+    """Generalized positions as in a Snapshot, shape (steps + 1, N, 7 + C + H)."""
     distance: Array
     """Distance from tip to target in [m], shape (steps + 1, N)."""
     end: NDArray[np.int64]

@@ -145,6 +145,7 @@ class MjsBody(_MjsElement):
         *,
         name: str = ...,
         pos: ArrayLike = ...,
+        quat: ArrayLike = ...,
         mass: float = ...,
         inertia: ArrayLike = ...,
         ipos: ArrayLike = ...,
@@ -278,6 +279,8 @@ class _NamedInData:
 
 class MjData:
     model: MjModel
+    xipos: _Floats
+    xmat: _Floats
     qpos: _Floats
     qvel: _Floats
     qfrc_bias: _Floats
@@ -293,6 +296,15 @@ def mj_forward(m: MjModel, d: MjData) -> None: ...
 def mj_kinematics(m: MjModel, d: MjData) -> None: ...
 def mj_fwdPosition(m: MjModel, d: MjData) -> None: ...
 def mj_fwdVelocity(m: MjModel, d: MjData) -> None: ...
+def mj_applyFT(
+    m: MjModel,
+    d: MjData,
+    force: _Floats,
+    torque: _Floats,
+    point: _Floats,
+    body: int,
+    qfrc_target: _Floats,
+) -> None: ...
 def mj_fullM(m: MjModel, d: MjData, dst: _Floats) -> None: ...
 def mj_jacSite(
     m: MjModel, d: MjData, jacp: _Floats | None, jacr: _Floats | None, site: int

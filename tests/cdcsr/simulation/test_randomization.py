@@ -104,7 +104,9 @@ def test_a_scale_outside_its_range_is_refused(robot: Robot, scale: float) -> Non
 
 def test_cables_shorter_than_their_sliders_room_are_refused(robot: Robot) -> None:
     segment = robot.segments[0]
-    tight = segment.model_copy(update={"servo": segment.servo.model_copy(update={"offset": 0.03})})
+    tight = segment.model_copy(
+        update={"own_servo": segment.servo.model_copy(update={"offset": 0.03})}
+    )
     with pytest.raises(
         CdcsrError, match=r"by up to 0\.04 m, and the sliders .* have room for 0\.03 m"
     ):

@@ -1,0 +1,1 @@
+"""Hold an elastic rod made of links against a continuous one."""
