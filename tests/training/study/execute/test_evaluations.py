@@ -239,13 +239,7 @@ def test_following_starts_at_the_held_out_targets_and_tells_each_error_by_its_na
 
 
 @pytest.mark.usefixtures("measured")
-def test_transfer_is_measured_in_every_engine_and_with_its_settings_put_back(
-    policy: Policy,
-) -> None:
+def test_transfer_is_measured_in_every_engine_where_it_was_trained(policy: Policy) -> None:
     subject = Subject(RunDescription(algorithm="batd3", space="spatter"), policy, policy.robot)
     rows = list(EVALUATIONS["engines"].measure(subject, 1))
-    assert {row[1] for row in rows} == {"spatter"}
-    names = [row[0] for row in rows]
-    assert set(backend_names()) <= set(names)
-    assert {"pybullet-stock:damping=0"} < {*names}
-    assert len(names) == len(set(names))
+    assert [row[:2] for row in rows] == [(engine, "spatter") for engine in backend_names()]
