@@ -220,3 +220,33 @@ def _first_half(levels: Array, rates: Array, never: float) -> Array:
     fall = np.where(before > after, before - after, 1.0)
     found = levels[last - 1] + (before - half[:, 0]) / fall * (levels[last] - levels[last - 1])
     return np.where(down.any(axis=1) & (rates[:, 0] > 0), found, never)
+
+
+def over_few_seeds(scores: NDArray[np.generic], paired: bool = False) -> Estimate:
+    """Return a mean over seeds and targets with a 95 % interval that holds for five seeds.
+
+    Seeds are clusters of episodes: the variance of the mean is that of the seeds' means over their
+    number, and at least a quarter of what chance alone gives, so that seeds that happen to be equal
+    get no interval of zero width. A rate has Wilson's interval for so many independent episodes as
+    have that variance, with Student's quantile in place of the normal one (Korn and Graubard 1998,
+    with Wilson's interval as in Dean and Pagano 2015). A difference has Student's interval.
+
+    Args:
+        scores: shape (seeds, targets), at least two seeds; 0 or 1 for each episode.
+        paired: scores are instead differences of two such numbers on the same target.
+    """
+    from scipy.stats import t
+
+    values = np.asarray(scores, dtype=float)
+    seeds, quantile = len(values), float(t.ppf(_QUANTILES[1], len(values) - 1))
+    middle = float(values.mean())
+    chance = max(float(values.var()), 1 / values.size) / values.size
+    variance = max(float(values.mean(axis=1).var(ddof=1)) / seeds, chance / 4)
+    if paired:
+        half = quantile * variance**0.5
+        return Estimate(middle, middle - half, middle + half)
+    episodes = middle * (1 - middle) / variance or float(values.size)
+    centre = (middle + quantile**2 / (2 * episodes)) / (1 + quantile**2 / episodes)
+    half = quantile / (1 + quantile**2 / episodes)
+    half *= (middle * (1 - middle) / episodes + quantile**2 / (4 * episodes**2)) ** 0.5
+    return Estimate(middle, max(0.0, centre - half), min(1.0, centre + half))

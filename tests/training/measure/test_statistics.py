@@ -17,6 +17,7 @@ from training.measure.statistics import (
     halving,
     iqm,
     mean,
+    over_few_seeds,
     pooled,
     rate,
 )
@@ -128,3 +129,32 @@ def test_halving_says_when_there_is_none() -> None:
     assert below.level == -np.inf
     assert halving([sweep([1.0, 2.0], [100, 0])], 1.0, "below") is None  # not swept
     assert halving([sweep([1.0, 2.0], [0, 0])], 1.0, "above") is None  # nothing to halve
+
+
+@pytest.mark.parametrize(("mean", "deviation"), [(0.5, 0.09), (0.85, 0.04), (0.95, 0.02)])
+def test_an_interval_over_five_seeds_covers_the_mean_of_all_seeds(
+    mean: float, deviation: float
+) -> None:
+    """Success of a seed is drawn from a beta distribution, and 100 episodes of it."""
+    rng, total = np.random.default_rng(0), 4_000
+    concentration = mean * (1 - mean) / deviation**2 - 1
+    rates = rng.beta(mean * concentration, (1 - mean) * concentration, (total, 5, 1))
+    found = [over_few_seeds(one) for one in rng.random((total, 5, 100)) < rates]
+    covered = np.mean([one.low <= mean <= one.high for one in found])
+    assert 0.93 <= covered <= 0.97
+
+
+def test_an_interval_over_five_seeds_covers_a_difference() -> None:
+    """A target is lost with a probability that differs between seeds, and rarely won."""
+    rng, total = np.random.default_rng(1), 4_000
+    lost = rng.normal(0.15, 0.03, (total, 5, 1))
+    draw = rng.random((total, 5, 100))
+    scores = np.where(draw < lost, -1, np.where(draw > 0.98, 1, 0))
+    found = [over_few_seeds(one, paired=True) for one in scores]
+    assert 0.93 <= np.mean([one.low <= 0.02 - 0.15 <= one.high for one in found]) <= 0.97
+
+
+def test_equal_seeds_get_an_interval_too() -> None:
+    every = over_few_seeds(np.ones((5, 100)))
+    assert (every.value, every.high) == pytest.approx((1.0, 1.0))
+    assert 0.98 < every.low < 0.99

@@ -35,6 +35,7 @@ from training.study.report.tables_beyond import (
     raised,
     searches,
 )
+from training.study.report.transfer_between_engines import transfer, transfer_figures
 
 PAPER_TABLES: tuple[Callable[[Sequence[Run], Expected | None], Table], ...] = (
     beside_table_2,
@@ -72,17 +73,25 @@ FIGURES: tuple[Callable[[Sequence[Run], Path], Figures], ...] = (
 def paper_tables(runs: Sequence[Run]) -> list[Table]:
     """Return the tables that stand beside the paper's."""
     wanted = expected_runs(runs)
-    return [make(runs, wanted) for make in PAPER_TABLES]
+    return [make(_alike(runs), wanted) for make in PAPER_TABLES]
 
 
 def other_tables(runs: Sequence[Run], results: Path) -> list[Table]:
     """Return all other tables, of runs and of the folder that they come from."""
-    return [*(make(runs) for make in TABLES), *(make(results) for make in STORED_TABLES)]
+    common = _alike(runs)
+    ours = [make(common) for make in TABLES]
+    return [*ours, transfer(runs), *(make(results) for make in STORED_TABLES)]
 
 
 def draw_figures(runs: Sequence[Run], folder: Path) -> list[tuple[str, str]]:
     """Draw all figures into a folder; return the name of each file and its caption."""
-    return [shown for draw in FIGURES for shown in draw(runs, folder)]
+    others = [shown for draw in FIGURES for shown in draw(_alike(runs), folder)]
+    return [*others, *transfer_figures(runs, folder)]
+
+
+def _alike(runs: Sequence[Run]) -> list[Run]:
+    """Return the runs whose seeds share demonstrations, as those of most tables do."""
+    return [run for run in runs if not run.setting.demonstration_seed]
 
 
 def expected_runs(runs: Sequence[Run]) -> Expected | None:

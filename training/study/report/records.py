@@ -99,6 +99,7 @@ class Run:
 
     name: str
     setting: RunDescription
+    """What all seeds share; its `demonstration_seed` is 1 if each has demonstrations of its own."""
     seed: int | None
     budget: str | None
     """Name of the amounts it was run with, if it tells."""
@@ -156,7 +157,9 @@ def _run_of(name: str, stored: StoredRun) -> Run:
         versions = cast(Mapping[str, object], data["versions"])
         return Run(
             name=name,
-            setting=replace(description, seed=0),
+            setting=replace(
+                description, seed=0, demonstration_seed=min(description.demonstration_seed, 1)
+            ),
             seed=description.seed,
             budget=None if budget is None else str(budget),
             minutes=float(cast(float, data["minutes"])),

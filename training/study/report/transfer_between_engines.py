@@ -1,0 +1,104 @@
+"""The study of transfer: recipes trained in one engine and tested in all of them."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+from matplotlib.axes import Axes
+from numpy.typing import NDArray
+
+from cdcsr.plots import COLORS, SOFT, drawn
+from cdcsr.simulation.engines import engine_title
+from training.measure.statistics import Estimate, over_few_seeds
+from training.study.report.cells import TRAINED, Table, Value, trained, who
+from training.study.report.learning_curves import Figures, legend, tidy
+from training.study.report.records import Run, grouped
+from training.study.report.table_parts import basis, engines_of
+
+EVALUATION = "engines"
+FIGURE = "transfer.png"
+
+
+def transfer(runs: Sequence[Run]) -> Table:
+    """Return the success of each recipe in each engine, and its loss against that of training."""
+    chosen = [run for run in runs if EVALUATION in run.evaluations]
+    engines = [name for name in engines_of(chosen, EVALUATION) if ":" not in name]
+    rows: list[list[Value]] = []
+    for setting, group in grouped(chosen).items():
+        home = _success(group, setting.backend)
+        found = [_success(group, engine) for engine in engines]
+        rates = [_estimate(one) for one in found]
+        losses = [
+            "-" if engine == setting.backend else _difference(one, home)
+            for engine, one in zip(engines, found, strict=True)
+        ]
+        rows.append([*trained(setting), setting.task, setting.space, *rates, *losses, len(group)])
+    titles = [engine_title(engine) for engine in engines]
+    head = (
+        *TRAINED,
+        "task",
+        "space",
+        *(f"κ in {title}" for title in titles),
+        *(f"difference in {title}" for title in titles),
+        "seeds",
+    )
+    note = basis(chosen) + (
+        " Each seed has demonstrations of its own. Intervals hold for five seeds; differences from"
+        " the engine of training are paired by target."
+    )
+    return Table("transfer", "Transfer between engines", note, head, rows)
+
+
+def transfer_figures(runs: Sequence[Run], out: Path) -> Figures:
+    """Draw the success of each recipe in each engine."""
+    chosen = [run for run in runs if EVALUATION in run.evaluations]
+    if not chosen:
+        return
+    engines = [name for name in engines_of(chosen, EVALUATION) if ":" not in name]
+    groups = grouped(chosen)
+    with drawn(out / FIGURE, (8.6, 4.2), "constrained") as figure:
+        axes = figure.subplots()
+        for i, ((setting, group), color) in enumerate(zip(groups.items(), COLORS, strict=False)):
+            label = f"{who(setting)}, trained in {engine_title(setting.backend)}"
+            shift = 0.14 * (i - (len(groups) - 1) / 2)
+            for x, engine in enumerate(engines):
+                scores = _success(group, engine)
+                if scores is not None:
+                    _draw(axes, x + shift, scores, color, label if x == 0 else "")
+        axes.set_xticks(range(len(engines)), [engine_title(name) for name in engines])
+        axes.set_ylabel("success on 100 targets")
+        axes.set_xlabel("tested in")
+        for x in range(1, len(engines)):
+            axes.axvline(x - 0.5, color=SOFT, lw=0.6)
+        tidy(axes)
+        legend(figure, 2)
+    yield FIGURE, "Success in each engine; small dots are seeds, bars 95 % intervals over seeds."
+
+
+def _draw(axes: Axes, x: float, scores: NDArray[np.float64], color: str, label: str) -> None:
+    rates = scores.mean(axis=1)
+    axes.plot(np.full(len(rates), x), rates, ".", color=color, alpha=0.45, ms=5)
+    found = _estimate(scores)
+    if found is not None:
+        ends = [[found.value - found.low], [found.high - found.value]]
+        axes.errorbar(x, found.value, ends, fmt="o", color=color, ms=6, capsize=3, label=label)
+
+
+def _success(group: Sequence[Run], engine: str) -> NDArray[np.float64] | None:
+    """Return success, shape (seeds, targets), of the runs of a group in an engine."""
+    found = [run.evaluations[EVALUATION].where(backend=engine).success for run in group]
+    return np.array(found, dtype=float) if all(len(one) for one in found) else None
+
+
+def _estimate(scores: NDArray[np.float64] | None) -> Estimate | None:
+    return None if scores is None or len(scores) < 2 else over_few_seeds(scores)
+
+
+def _difference(
+    scores: NDArray[np.float64] | None, home: NDArray[np.float64] | None
+) -> Estimate | None:
+    if scores is None or home is None or len(scores) < 2:
+        return None
+    return over_few_seeds(scores - home, paired=True)
