@@ -100,8 +100,10 @@ def _text(value: Value, ranged: bool = False) -> str:
         return _ABSENT
     if isinstance(value, Estimate):
         star = "\\*" if value.over == "episodes" else ""
-        spread = f" ({value.low:.2f} to {value.high:.2f})" if ranged and not star else ""
-        return f"{value.value:.2f}{star}{spread}"
+        # Adding zero to a rounded number makes 0.00 of -0.00.
+        middle, low, high = (round(x, 2) + 0.0 for x in (value.value, value.low, value.high))
+        spread = f" ({low:.2f} to {high:.2f})" if ranged and not star else ""
+        return f"{middle:.2f}{star}{spread}"
     if isinstance(value, Spread):
         return f"{value.mean:.0f}"
     return f"{value:g}" if isinstance(value, float) else str(value)
