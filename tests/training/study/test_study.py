@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import shutil
 from collections import Counter
 from dataclasses import replace
@@ -14,6 +15,7 @@ import pytest
 from cdcsr.cli import run
 from cdcsr.errors import CdcsrError
 from cdcsr.files import write_json
+from cdcsr.leftovers import temporary_beside
 from cdcsr.robot.description import load_robot
 from cdcsr.simulation.engines import backend_names
 from controllers.jacobian import JacobianController
@@ -130,7 +132,9 @@ def test_a_record_that_is_missing_is_not_done(
     job = Job(RunDescription(algorithm=SCRIPTED, updates=0), ("nominal",), TINY_BUDGET)
     jobs.carry_out(job, runs, results)
     (results / job.name / "run.json").unlink()
-    (results / job.name / ".nominal.csv.0badcafe").write_text("half")
+    left = temporary_beside(results / job.name / "nominal.csv")
+    left = left.with_name(left.name.replace(f"-{os.getpid()}-", "-999999999-"))  # of a dead process
+    left.write_text("half")
     assert not job.is_done(results)
     jobs.carry_out(job, runs, results)
     assert job.is_done(results)
