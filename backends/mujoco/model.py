@@ -1,8 +1,9 @@
 """Build the MuJoCo model of a robot as an MjSpec. Cables are spatial tendons that may not exceed
 their rest length.
 
-In stock MuJoCo, so in the model files and in viewers, this is a limit of the tendon. The simulation
-replaces it by equalities, which are inactive here: see :mod:`backends.mujoco.active_cables`.
+In stock MuJoCo, so in the model files, in viewers and in the engine `mujoco-stock`, this is a limit
+of the tendon. The engine `mujoco` replaces it by equalities, which are inactive here: see
+:mod:`backends.mujoco.active_cables`.
 """
 
 from __future__ import annotations
@@ -18,11 +19,14 @@ from cdcsr.robot.parts import Joint, Link
 from cdcsr.robot.routing import Routing, routing
 from cdcsr.simulation.rotations import at_start
 
-_INTEGRATORS = {
+INTEGRATORS = {
     "implicitfast": mujoco.mjtIntegrator.mjINT_IMPLICITFAST,
     "implicit": mujoco.mjtIntegrator.mjINT_IMPLICIT,
     "Euler": mujoco.mjtIntegrator.mjINT_EULER,
+    "RK4": mujoco.mjtIntegrator.mjINT_RK4,
+    "discrete": mujoco.mjtIntegrator.mjINT_DISCRETE,
 }
+"""MuJoCo's integrators, by their names in MJCF."""
 _TOUCH = 1e-9
 """MuJoCo sees a limit only once it is exceeded. The cables of the straight robot exceed it by this,
 in [m], so that in the first step a pull acts on the arm and not on a free slider."""
@@ -70,20 +74,11 @@ def build_spec(robot: Robot, meshes: Mapping[str, str] | None = None) -> mujoco.
     return spec
 
 
-def use_own_softness(spec: mujoco.MjSpec) -> None:
-    """Set the integrator and the softness of limits to MuJoCo's defaults, as in an empty MjSpec."""
-    own = mujoco.MjSpec()
-    spec.option.integrator = own.option.integrator
-    joint, tendon = own.worldbody.add_body().add_joint(), own.add_tendon()
-    for limited, default in [(x, joint) for x in spec.joints] + [(x, tendon) for x in spec.tendons]:
-        limited.solref_limit, limited.solimp_limit = default.solref_limit, default.solimp_limit
-
-
 def _set_options(spec: mujoco.MjSpec, robot: Robot) -> None:
     option = spec.option
     option.timestep = robot.time_step
     option.gravity = robot.gravity
-    option.integrator = _INTEGRATORS[robot.mujoco.integrator]
+    option.integrator = INTEGRATORS[robot.mujoco.integrator]
     # With few constraints and many coordinates it is cheaper than Newton, and as exact.
     option.solver = mujoco.mjtSolver.mjSOL_PGS
     # Nothing collides. An automatic reset would hide divergence, which must be an error.

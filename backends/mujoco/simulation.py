@@ -1,6 +1,9 @@
-"""The MuJoCo engine: copies of a robot in a `mujoco.batch`, stepped by a pool of threads."""
+"""Copies of a robot in a `mujoco.batch`, stepped by a pool of threads, and the engine `mujoco`."""
 
 from __future__ import annotations
+
+from abc import abstractmethod
+from typing import ClassVar
 
 import mujoco
 import numpy as np
@@ -16,6 +19,7 @@ from cdcsr.simulation.contract import (
     Dynamics,
     EngineOptions,
     Ids,
+    Physics,
     Simulation,
     Snapshot,
     State,
@@ -32,20 +36,21 @@ _SPEED_LIMIT = 1e4
 """A coordinate that moves faster than this, in [m/s] or [rad/s], has diverged."""
 
 
-class MujocoSimulation(Simulation):
-    """`num` copies of a robot in MuJoCo; see :class:`cdcsr.simulation.contract.Simulation`.
+class BatchSimulation(Simulation):
+    """`num` copies of a robot in MuJoCo; an engine says which model they step, and what holds the
+    cables.
 
     Args:
         robot: the description.
         num: how many copies.
-        options: this engine has none.
+        options: how the engine steps; None for its defaults.
         threads: how many threads step the copies. By default one for fewer than 8 copies, else one
             for each processor. The numbers do not depend on it.
     """
 
-    engine = "mujoco"
-    title = "MuJoCo"
-    capabilities = frozenset({"render", "bit_exact", "any_arm"})
+    version = mujoco.__version__
+    cables_type: ClassVar[type[Cables | Limits]]
+    """What holds the cables of a batch."""
 
     def __init__(
         self,
@@ -58,26 +63,25 @@ class MujocoSimulation(Simulation):
         super().__init__(robot, num, options)
         if threads is None:  # to wake a thread costs about as much as to step a few copies
             threads = processors() if num >= 8 else 1
-        self._threads = threads
-        self._renderer: mujoco.Renderer | None = None
-        self._start(stepping_spec(robot).compile(), Cables)
-
-    def _start(self, model: mujoco.MjModel, cables: type[Cables | Limits]) -> None:
-        """Make the batch of a model, and put all copies to the start."""
-        self.model = model
-        self.batch = batch.Batch(model, self.num, self._threads, True)
+        self.model = model = self._spec().compile()
+        self.batch = batch.Batch(model, self.num, threads, True)
         self._sensors = self.batch.bind("sensordata")
         self._qpos, self._qvel = self.batch.bind("qpos"), self.batch.bind("qvel")
         self._time, self._ctrl = self.batch.bind("time"), self.batch.bind("ctrl")
-        self._cables = cables(self.robot, self.batch)
+        self._cables = self.cables_type(robot, self.batch)
         self._q, self._v = base_size(self.robot)
         first_link = model.body("link_0").id
         self._frames = self.batch.bind("xmat").reshape(self.num, -1, 3, 3)[:, first_link:]
         self._wrenches = self.batch.bind("xfrc_applied")[:, first_link:]
         self._scratch = mujoco.MjData(model)
+        self._renderer: mujoco.Renderer | None = None
         # Receives the model of a copy that is looked at; None while all copies have the same model.
         self._own_model: mujoco.MjModel | None = None
         self.reset()
+
+    @abstractmethod
+    def _spec(self) -> mujoco.MjSpec:
+        """Build the model that all copies step, by `robot` and `options`."""
 
     def _set_plant(self, ids: NDArray[np.int64], plant: Plant) -> None:
         write_plant(self.batch, ids, plant)
@@ -261,6 +265,27 @@ class MujocoSimulation(Simulation):
         if self._renderer is not None:
             self._renderer.close()
             self._renderer = None
+
+
+class MujocoSimulation(BatchSimulation):
+    """`num` copies of a robot in MuJoCo, with cables that do not stretch; see
+    :mod:`backends.mujoco.active_cables`."""
+
+    engine = "mujoco"
+    title = "MuJoCo"
+    capabilities = frozenset({"render", "bit_exact", "any_arm"})
+    physics = Physics(
+        joint_dynamics="MuJoCo's",
+        integration="MuJoCo's Euler, semi-implicit",
+        cables="ours: MuJoCo's equalities, switched in each step by an active-set method",
+        limits="MuJoCo's, with the softness of the description",
+        servos="MuJoCo's position actuators",
+        damping="ours: MuJoCo's, made implicit in the mass matrix of each step",
+    )
+    cables_type = Cables
+
+    def _spec(self) -> mujoco.MjSpec:
+        return stepping_spec(self.robot)
 
 
 def _dense_tendon_jacobian(model: mujoco.MjModel, data: mujoco.MjData) -> Array:

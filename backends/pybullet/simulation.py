@@ -7,7 +7,9 @@ hinge limits. Cables, springs and servos act as joint torques; see :mod:`backend
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import replace
 from functools import cached_property
+from importlib.metadata import version as package_version
 from typing import ClassVar
 
 import numpy as np
@@ -27,6 +29,7 @@ from cdcsr.simulation.contract import (
     Dynamics,
     EngineOptions,
     Ids,
+    Physics,
     Simulation,
     Snapshot,
     State,
@@ -58,6 +61,15 @@ class PybulletSimulation(Simulation):
     title: ClassVar[str] = "PyBullet"
     capabilities: ClassVar[frozenset[Capability]] = frozenset({"render"})
     options_type: ClassVar[type[EngineOptions]] = PybulletOptions
+    version: ClassVar[str] = package_version("pybullet")
+    physics: ClassVar[Physics] = Physics(
+        joint_dynamics="Bullet's articulated-body step",
+        integration="Bullet's, semi-implicit",
+        cables="ours: tensions solved for in each step with Bullet's mass matrix, as joint torques",
+        limits="Bullet's",
+        servos="ours: forces on the sliders, by the option servo",
+        damping="Bullet's joint damping; none of bodies, by the option damping",
+    )
 
     def __init__(
         self,
@@ -165,6 +177,12 @@ class PybulletStock(PybulletSimulation):
 
     engine: ClassVar[str] = "pybullet-stock"
     title: ClassVar[str] = "PyBullet, stock"
+    variant_of: ClassVar[str | None] = "pybullet"
+    physics: ClassVar[Physics] = replace(
+        PybulletSimulation.physics,
+        servos="Bullet's position motors, by the option servo",
+        damping="Bullet's joint damping, and Bullet's damping of all bodies",
+    )
     options_type: ClassVar[type[EngineOptions]] = PybulletStockOptions
     switches: ClassVar[Mapping[str, str]] = {
         "damping": "0",

@@ -50,6 +50,30 @@ class EngineOptions(BaseModel):
     model_config = ConfigDict(frozen=True, extra="forbid", use_attribute_docstrings=True)
 
 
+_UNKNOWN = "not declared"
+
+
+@dataclass(frozen=True)
+class Physics:
+    """Who computes each part of the motion: the physics package, or this project.
+
+    Each text is short; it begins with "ours" where the project's own code decides the motion.
+    """
+
+    joint_dynamics: str = _UNKNOWN
+    """From forces to accelerations: mass matrix, Coriolis and centrifugal forces."""
+    integration: str = _UNKNOWN
+    """From accelerations to the next state."""
+    cables: str = _UNKNOWN
+    """What keeps cables from getting longer than at rest."""
+    limits: str = _UNKNOWN
+    """What stops a hinge at its limit."""
+    servos: str = _UNKNOWN
+    """What pulls a slider to its set-point."""
+    damping: str = _UNKNOWN
+    """How the dampers of hinges and sliders enter a step."""
+
+
 class Simulation(ABC):
     """`num` copies of a robot in one engine; they start straight and at rest.
 
@@ -74,6 +98,12 @@ class Simulation(ABC):
     title: ClassVar[str]
     """The engine's name as it is written in text."""
     capabilities: ClassVar[frozenset[Capability]]
+    variant_of: ClassVar[str | None] = None
+    """The engine of the same package whose model files this one runs. Studies train, and benchmarks
+    measure growth, in engines that are no variants; None for such an engine."""
+    version: ClassVar[str] = "unknown"
+    """The version of the physics package."""
+    physics: ClassVar[Physics] = Physics()
     options_type: ClassVar[type[EngineOptions]] = EngineOptions
     """The class of the options, each with its default, its bounds and a docstring."""
     switches: ClassVar[Mapping[str, str]] = {}

@@ -35,6 +35,12 @@ def backend_names() -> list[str]:
     return sorted(_installed(tuple(sys.path)))
 
 
+def principal_engines() -> list[str]:
+    """Return the names of the installed engines that are no variant of another; see
+    :attr:`cdcsr.simulation.contract.Simulation.variant_of`."""
+    return [name for name in backend_names() if load_backend(name).variant_of is None]
+
+
 def load_backend(name: str) -> type[Simulation]:
     """Return the Simulation class of an engine; options in `name` are checked.
 

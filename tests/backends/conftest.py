@@ -8,7 +8,7 @@ import pytest
 
 from cdcsr.robot.description import Robot, load_robot, shipped_robots
 from cdcsr.simulation.contract import Simulation
-from cdcsr.simulation.engines import backend_names, make_simulation
+from cdcsr.simulation.engines import backend_names, load_backend, make_simulation
 from tests.support.physics import Make
 
 
@@ -17,12 +17,20 @@ def engine(request: pytest.FixtureRequest) -> str:
     return request.param
 
 
-@pytest.fixture(
-    params=[name for name in backend_names() if name != "pybullet-stock"]
-    + ["pybullet-stock:damping=0,servo=force"]
-)
+UNDAMPED = [name for name in backend_names() if name != "pybullet-stock"] + [
+    "pybullet-stock:damping=0,servo=force"
+]
+
+
+@pytest.fixture(params=UNDAMPED)
 def undamped_engine(request: pytest.FixtureRequest) -> str:
     """An engine without damping and motors of its own."""
+    return request.param
+
+
+@pytest.fixture(params=[n for n in UNDAMPED if "soft_cables" not in load_backend(n).capabilities])
+def stiff_engine(request: pytest.FixtureRequest) -> str:
+    """An undamped engine whose cables do not stretch, and so take no energy."""
     return request.param
 
 

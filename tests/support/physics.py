@@ -19,6 +19,9 @@ from cdcsr.simulation.contract import Array, Dynamics, Simulation, Snapshot, Sta
 from cdcsr.simulation.engines import make_simulation
 from cdcsr.simulation.plant import Parameters
 
+STRETCH = 0.05e-3
+"""A cable that is not soft may be longer than at rest by this, in [m]."""
+
 
 class Make(Protocol):
     """Makes a simulation in the engine of a name; the fixture `make` closes it."""
@@ -126,6 +129,26 @@ def slack(robot: Robot, simulation: Simulation) -> Array:
     long."""
     state, route = simulation.state(), routing(robot)
     return route.rest_length - cable_lengths(route, state.cable_travel, state.joint_angles)
+
+
+def stretch(simulation: Simulation, tension: float) -> float:
+    """Return how much longer than at rest a cable may be under a tension in [N], in [m].
+
+    Soft cables are MuJoCo's limits at its default softness. By its documentation ("Solver
+    parameters") a limit that is exceeded by x gives, at rest, the force
+
+        T = k x d / ((1 - d) A),  k = d / (dmax² t²),  so  x = T A (1 - d) (dmax t / d)²,
+
+    where t = 0.02 s is its time constant, A the inverse inertia of the straight robot along the
+    tendon, L M^-1 L^T, and d the impedance: dmax = 0.95 where x is over 1 mm, and from 0.9 below.
+    """
+    if "soft_cables" not in simulation.capabilities:
+        return STRETCH
+    with running(simulation.robot, simulation.engine) as still:
+        equation = still.dynamics()
+    L, M = equation.cable_jacobian[0], equation.mass_matrix[0]
+    largest = tension * np.diagonal(L @ np.linalg.solve(M, L.T)).max() * 0.02**2
+    return STRETCH + max(largest * (1 - 0.95), min(largest * (1 - 0.9) * (0.95 / 0.9) ** 2, 1e-3))
 
 
 def momentum(simulation: Simulation) -> tuple[Array, Array, Array]:

@@ -9,7 +9,7 @@ import numpy as np
 
 from cdcsr.robot.description import Robot
 from cdcsr.simulation.benchmarks import Measurement
-from cdcsr.simulation.engines import backend_names, engine_title
+from cdcsr.simulation.engines import engine_title, principal_engines
 from training.bench.growth import step_seconds
 from training.bench.peer_process import MissingPeer, Peer
 
@@ -100,12 +100,12 @@ def arms(robot: Robot, python: str) -> Iterator[Measurement]:
 
 
 def own_speeds(robot: Robot, steps: int = 400, rounds: int = 5) -> Iterator[Speed]:
-    """Measure one copy of a robot in each engine; medians over the rounds."""
+    """Measure one copy of a robot in each engine that is no variant; medians over the rounds."""
     what = (
         f"{robot.num_hinges} hinges and {robot.num_cables} cables on a free base,"
         " servo set-points commanded"
     )
-    for engine in backend_names():
+    for engine in principal_engines():
         seconds = step_seconds(robot, engine, 1, steps, rounds, read=True)
         name = f"ours, {engine_title(engine)}"
         yield Speed(name, what, 1 / seconds, robot.time_step / seconds)

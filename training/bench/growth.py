@@ -14,7 +14,7 @@ from matplotlib.ticker import FixedLocator, FuncFormatter, LogLocator, NullLocat
 from cdcsr.plots import COLORS, drawn
 from cdcsr.robot.description import Robot
 from cdcsr.simulation.benchmarks import Measurement
-from cdcsr.simulation.engines import backend_names, engine_title, make_simulation
+from cdcsr.simulation.engines import engine_title, make_simulation, principal_engines
 
 LINKS = (6, 12, 24, 48)
 SEGMENTS = (1, 2, 3, 4)
@@ -33,14 +33,14 @@ class Growth:
 
 
 def growth(robot: Robot, plot: Path | None) -> Iterator[Measurement]:
-    """Measure how the cost of a step grows in every installed engine.
+    """Measure how the cost of a step grows in every installed engine that is no variant.
 
     Args:
         robot: its first segment gives the parts of the robots that are measured.
         plot: folder for a figure, if any.
     """
     measured: dict[str, Growth] = {}
-    for engine in backend_names():
+    for engine in principal_engines():
         cost = measured[engine] = measure_growth(robot, engine)
         for size, what, exponent, microseconds in (
             ("links", "links, 6 to 48", cost.links_exponent, cost.links),

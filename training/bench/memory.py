@@ -9,7 +9,7 @@ from collections.abc import Iterator
 
 from cdcsr.robot.description import Robot
 from cdcsr.simulation.benchmarks import Measurement
-from cdcsr.simulation.engines import backend_names, engine_title
+from cdcsr.simulation.engines import engine_title, principal_engines
 
 _CODE = """
 import pathlib, resource, sys, numpy
@@ -26,8 +26,8 @@ print(*peaks or [resource.getrusage(resource.RUSAGE_SELF).ru_maxrss])
 
 
 def memory(robot: Robot) -> Iterator[Measurement]:
-    """Measure the memory of a copy in every installed engine."""
-    for engine in backend_names():
+    """Measure the memory of a copy in every installed engine that is no variant."""
+    for engine in principal_engines():
         what = f"{engine_title(engine)}: MB of peak memory for each further copy"
         yield Measurement(f"memory_{engine}", memory_per_copy(robot, engine), what)
 

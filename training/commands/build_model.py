@@ -27,7 +27,7 @@ def build_model(
     from cdcsr.files import write_json
     from cdcsr.folders import new_folder
     from cdcsr.robot.description import load_robot
-    from cdcsr.simulation.engines import chosen_backends, engine_title
+    from cdcsr.simulation.engines import chosen_backends, engine_title, load_backend
 
     description = load_robot(robot)
     backends = chosen_backends(backend)
@@ -39,6 +39,8 @@ def build_model(
     print(f"written to {out}: {', '.join(names)}")
     for name in backends:
         if name not in exporter_names():
-            print(f"{engine_title(name)} has no model files of its own")
+            original = load_backend(name).variant_of
+            runs = f"; it runs those of {engine_title(original)}" if original else ""
+            print(f"{engine_title(name)} has no model files of its own{runs}")
     if json is not None:
         write_json(json, summary)

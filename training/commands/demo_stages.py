@@ -13,7 +13,7 @@ import torch
 from cdcsr.files import read_json, write_json, write_text
 from cdcsr.folders import WorkingFolder
 from cdcsr.robot.description import load_robot
-from cdcsr.simulation.engines import backend_names, engine_title
+from cdcsr.simulation.engines import backend_names, engine_title, principal_engines
 from controllers.jacobian import JacobianController
 from training.algorithms.registry import algorithm_title
 from training.commands.build_model import build_model
@@ -41,7 +41,7 @@ CONTENTS = {
     CELLS: "the same numbers, with every episode",
     CURVE: "success during training",
     TARGETS: "reached and missed targets",
-    VIDEO: "the policy in every engine, in slow motion",
+    VIDEO: "the policy in MuJoCo and PyBullet, in slow motion",
     ANIMATION: "the same, small",
     MODEL: "the robot as model files for every engine",
     DEMONSTRATIONS: "ten demonstrations, a Minari dataset",
@@ -245,7 +245,7 @@ class Demo:
         policy_video(
             policy,
             self._robot,
-            backend_names(),
+            principal_engines(),
             targets[: self._amounts.filmed],
             [self._out / VIDEO, self._out / ANIMATION],
             policy.frame_skip,

@@ -10,6 +10,8 @@ from numpy.typing import ArrayLike, NDArray
 _Floats = NDArray[np.float64]
 _Ints = NDArray[np.int32]
 
+__version__: str
+
 class _Vector:
     """A field that returns an array and takes any numbers of that shape."""
 
@@ -37,8 +39,10 @@ class mjtGeom(_Enum):
 
 class mjtIntegrator(_Enum):
     mjINT_EULER: ClassVar[Self]
+    mjINT_RK4: ClassVar[Self]
     mjINT_IMPLICIT: ClassVar[Self]
     mjINT_IMPLICITFAST: ClassVar[Self]
+    mjINT_DISCRETE: ClassVar[Self]
 
 class mjtJacobian(_Enum):
     mjJAC_DENSE: ClassVar[Self]
@@ -199,6 +203,8 @@ class MjSpec:
     tendons: list[MjsTendon]
     equalities: list[MjsEquality]
     def __init__(self) -> None: ...
+    @staticmethod
+    def from_file(filename: str) -> MjSpec: ...
     def add_mesh(self, *, name: str = ..., file: str = ...) -> MjsMesh: ...
     def add_tendon(
         self,
@@ -266,6 +272,8 @@ class MjModel:
     ten_J_rownnz: _Ints
     ten_J_rowadr: _Ints
     ten_J_colind: _Ints
+    @staticmethod
+    def from_xml_path(filename: str) -> MjModel: ...
     def body(self, name: int | str) -> _NamedInModel: ...
     def joint(self, name: int | str) -> _NamedInModel: ...
     def site(self, name: int | str) -> _NamedInModel: ...
@@ -283,6 +291,7 @@ class MjData:
     xmat: _Floats
     qpos: _Floats
     qvel: _Floats
+    ctrl: _Vector
     qfrc_bias: _Floats
     qfrc_passive: _Floats
     subtree_com: _Floats
@@ -292,6 +301,7 @@ class MjData:
     def body(self, name: int | str) -> _NamedInData: ...
     def site(self, name: int | str) -> _NamedInData: ...
 
+def mj_step(m: MjModel, d: MjData, nstep: int = 1) -> None: ...
 def mj_forward(m: MjModel, d: MjData) -> None: ...
 def mj_kinematics(m: MjModel, d: MjData) -> None: ...
 def mj_fwdPosition(m: MjModel, d: MjData) -> None: ...

@@ -11,7 +11,7 @@ from cdcsr.robot.description import Robot
 from cdcsr.simulation.contract import Array, Snapshot
 from cdcsr.simulation.engines import backend_names
 from cdcsr.simulation.plant import Parameters
-from tests.support.physics import Make, assert_same, commands_of, random_parameters
+from tests.support.physics import Make, assert_same, commands_of, random_parameters, stretch
 
 STEPS = 60
 
@@ -131,7 +131,8 @@ def test_a_longer_cable_pulls_late_and_a_shorter_one_at_once(
     simulation.step(np.zeros((2, paper.num_cables)), 40)
     long, short = simulation.state().cable_travel
     np.testing.assert_allclose(long, 0.0, atol=1e-6)
-    np.testing.assert_allclose(short, 0.01, atol=5e-5)  # the straight arm holds them there
+    allowed = stretch(simulation, paper.servos[0].gain * 0.01)
+    np.testing.assert_allclose(short, 0.01, atol=allowed)  # the straight arm holds them there
     assert simulation.state().cable_tension[1] == pytest.approx(
         paper.servos[0].gain * 0.01, rel=0.02
     )

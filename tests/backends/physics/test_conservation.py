@@ -157,7 +157,7 @@ def test_without_damping_a_moving_robot_keeps_its_energy(
     assert np.log2(errors[1] / errors[2]) > 0.85
 
 
-def test_without_damping_taut_cables_keep_the_energy(robot: Robot, undamped_engine: str) -> None:
+def test_without_damping_taut_cables_keep_the_energy(robot: Robot, stiff_engine: str) -> None:
     """Springs of servos and hinges and the moving arm exchange energy through taut cables, which
     take none.
 
@@ -166,7 +166,7 @@ def test_without_damping_taut_cables_keep_the_energy(robot: Robot, undamped_engi
     start, command = straight(robot), np.zeros((1, robot.num_cables))
     command[0, [0, -1]] = -0.3, -0.2
     errors = [
-        gain_and_loss(robot, undamped_engine, divide, start.position, start.velocity, command)
+        gain_and_loss(robot, stiff_engine, divide, start.position, start.velocity, command)
         for divide in (1, 2)
     ]
     assert errors[0] < 2e-4

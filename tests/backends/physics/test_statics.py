@@ -14,10 +14,7 @@ from scipy.spatial.transform import Rotation
 
 from cdcsr.robot.description import Robot, load_robot
 from cdcsr.simulation.contract import Array, State
-from tests.support.physics import changed, running, slack, with_parts
-
-STRETCH = 0.05e-3
-"""A settled cable may be longer than at rest by this, in [m]."""
+from tests.support.physics import STRETCH, changed, running, slack, stretch, with_parts
 
 
 def swing(robot: Robot) -> float:
@@ -48,13 +45,16 @@ def settling(robot: Robot, weight: float = 1e-2) -> Robot:
     return changed(robot, segments=segments)
 
 
-def at_rest(robot: Robot, engine: str, command: Array) -> tuple[State, Array]:
-    """Return the state after a long time under constant commands, and the slack of the cables."""
+def at_rest(robot: Robot, engine: str, command: Array) -> tuple[State, float]:
+    """Return the state after a long time under constant commands, and by how much a cable may be
+    longer than at rest under the largest tension, in [m]; no cable is longer."""
     with running(robot, engine, len(command)) as simulation:
         simulation.step(command, round(25 / swing(robot) / robot.time_step))
         state = simulation.state()
         assert np.abs(state.joint_rates).max() < 1e-3
-        return state, slack(robot, simulation)
+        allowed = stretch(simulation, state.cable_tension.max())
+        assert slack(robot, simulation).min() > -allowed
+        return state, allowed
 
 
 def taken_in(robot: Robot, hinges: Array) -> Array:
@@ -105,16 +105,22 @@ def check_rest(robot: Robot, engine: str, num: int, seed: int) -> None:
     """Set-points are up to 0.4 m below rest and differ between cables: the arm bends in any plane,
     within the hinge limits."""
     command = np.random.default_rng(seed).uniform(-0.4, 0.0, (num, robot.num_cables))
-    state, left = at_rest(settling(robot), engine, command)
+    state, allowed = at_rest(settling(robot), engine, command)
     gain = np.array([servo.gain for servo in robot.servos])
     for copy, pulls in enumerate(command):
         expected = least_energy(robot, pulls)
         assert 0.02 < np.abs(expected).max() < 0.9 * robot.segments[0].joint.limit
         travel = np.maximum(taken_in(robot, expected), pulls)
-        np.testing.assert_allclose(state.joint_angles[copy], expected, atol=2e-4)
-        np.testing.assert_allclose(state.cable_travel[copy], travel, atol=2e-5)
-        np.testing.assert_allclose(state.cable_tension[copy], gain * (travel - pulls), atol=2e-3)
-    assert left.min() > -STRETCH
+        # A cable that stretches is a spring in series with that of its servo, whose tension, and
+        # with it the pose, falls by the share of the stretch in the servo's error.
+        longer = allowed - STRETCH
+        share = longer / (state.cable_tension.max() / gain.max())
+        off = 2e-4 + 2 * share * np.abs(expected).max()
+        np.testing.assert_allclose(state.joint_angles[copy], expected, atol=off)
+        np.testing.assert_allclose(state.cable_travel[copy], travel, atol=2e-5 + longer)
+        np.testing.assert_allclose(
+            state.cable_tension[copy], gain * (travel - pulls), atol=2e-3 + gain.max() * longer
+        )
 
 
 @pytest.mark.parametrize("name", ["planar-single", "paper"])
@@ -134,9 +140,8 @@ def test_a_settled_cable_at_full_command_keeps_its_length(engine: str) -> None:
     not reach its hinge limits."""
     robot = with_parts(load_robot("planar-single"), joint={"stiffness": 20.0})
     command = np.diag([-servo.eta for servo in robot.servos])[:1]
-    state, left = at_rest(settling(robot, weight=0.1), engine, command)
+    state, _ = at_rest(settling(robot, weight=0.1), engine, command)
     assert state.cable_tension[0, 0] > 200
-    assert left.min() > -STRETCH
 
 
 def chain_of(num: int) -> Robot:

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from cdcsr.envs.gym_env import Info, TaskVectorEnv
 from cdcsr.errors import CdcsrError
 from cdcsr.robot.description import Robot, load_robot
-from cdcsr.simulation.engines import backend_names
+from cdcsr.simulation.engines import principal_engines
 from cdcsr.tasks.catalogue import make_task
 from cdcsr.tasks.observation import TARGET, observation_size
 from cdcsr.tasks.symmetry import images
@@ -207,7 +207,7 @@ def test_a_saved_policy_keeps_its_symmetry(robot: Robot, tmp_path: Path) -> None
 
 
 @pytest.mark.parametrize("name", ["clasp-workspace-mujoco", "clasp-anchor-mujoco"])
-@pytest.mark.parametrize("engine", backend_names())
+@pytest.mark.parametrize("engine", principal_engines())
 def test_images_of_a_target_are_reached_along_images_of_one_path(engine: str, name: str) -> None:
     policy = find_policy(name)
     known = images(policy.robot)

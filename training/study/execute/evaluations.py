@@ -13,7 +13,7 @@ from typing import TypedDict
 from cdcsr.envs.disturbances import Disturbances
 from cdcsr.files import write_text
 from cdcsr.robot.description import Robot
-from cdcsr.simulation.engines import backend_names
+from cdcsr.simulation.engines import backend_names, principal_engines
 from controllers.controller import Controller
 from training.config.run_description import RunDescription
 from training.measure.evaluation import Array, Result, evaluate
@@ -150,9 +150,9 @@ def disturbances(subject: Subject, episodes: int) -> Iterator[Row]:
 
 
 def following(subject: Subject, episodes: int) -> Iterator[Row]:
-    """Measure how targets that move are followed, in every engine (Fig. 6)."""
+    """Measure how targets that move are followed, in every engine that is no variant (Fig. 6)."""
     policy = subject.controller if isinstance(subject.controller, Policy) else None
-    for backend, motion in product(backend_names(), MOTIONS):
+    for backend, motion in product(principal_engines(), MOTIONS):
         for motion_name, episode, step, *errors in follow(
             subject.controller,
             subject.robot,
@@ -167,9 +167,9 @@ def following(subject: Subject, episodes: int) -> Iterator[Row]:
 
 
 def plants(subject: Subject, episodes: int) -> Iterator[Row]:
-    """Sweep each axis of the plant in every engine, until success halves."""
+    """Sweep each axis of the plant in every engine that is no variant, until success halves."""
     space = subject.spec.space
-    for backend in backend_names():
+    for backend in principal_engines():
         nominal = evaluate(
             subject.controller, subject.robot, backend, space, episodes, **subject.options
         )

@@ -1,0 +1,81 @@
+"""The engine `mujoco-stock` steps the exported model, with the differences that its docstring
+names."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import get_args
+
+import mujoco
+import numpy as np
+import pytest
+
+from backends.mujoco.export import write_mjcf
+from backends.mujoco.stock import MujocoStock, StockOptions
+from cdcsr.robot.description import Robot
+from cdcsr.simulation.engines import make_simulation
+from tests.support.physics import commands_of, running, slack, stretch
+
+INTEGRATORS = {
+    "implicitfast": mujoco.mjtIntegrator.mjINT_IMPLICITFAST,
+    "implicit": mujoco.mjtIntegrator.mjINT_IMPLICIT,
+    "Euler": mujoco.mjtIntegrator.mjINT_EULER,
+    "RK4": mujoco.mjtIntegrator.mjINT_RK4,
+    "discrete": mujoco.mjtIntegrator.mjINT_DISCRETE,
+}
+
+
+@pytest.mark.parametrize("softness", ["mujoco", "description"])
+@pytest.mark.parametrize("integrator", INTEGRATORS)
+def test_a_step_is_mj_step_on_the_exported_file(
+    integrator: str, softness: str, paper: Robot, tmp_path: Path
+) -> None:
+    """To the bit, over 200 steps in which every cable pulls."""
+    write_mjcf(paper, tmp_path, {})
+    spec = mujoco.MjSpec.from_file(str(tmp_path / "paper.xml"))
+    spec.option.integrator = INTEGRATORS[integrator]
+    if softness == "mujoco":
+        for limited in [*spec.joints, *spec.tendons]:
+            limited.solref_limit, limited.solimp_limit = (0.02, 1), (0.9, 0.95, 0.001, 0.5, 2)
+    model = spec.compile()
+    data, moved = mujoco.MjData(model), 0.0
+    options = f"integrator={integrator},softness={softness}"
+    simulation = make_simulation(paper, f"mujoco-stock:{options}", 2)
+    for command in commands_of(paper, 200, 2):
+        simulation.step(command)
+        data.ctrl = command[1]
+        mujoco.mj_step(model, data)
+        np.testing.assert_array_equal(simulation.get_snapshot().position[1], data.qpos)
+        moved = max(moved, float(np.abs(data.qpos).max()))
+    simulation.close()
+    assert moved > 0.05
+
+
+def test_every_integrator_is_tested() -> None:
+    assert get_args(StockOptions.model_fields["integrator"].annotation) == tuple(INTEGRATORS)
+
+
+def test_the_exported_file_is_the_engine_with_the_descriptions_softness(
+    paper: Robot, tmp_path: Path
+) -> None:
+    """Someone who loads the file and changes nothing steps this engine."""
+    write_mjcf(paper, tmp_path, {})
+    model = mujoco.MjModel.from_xml_path(str(tmp_path / "paper.xml"))
+    ours = MujocoStock(paper, options=StockOptions(softness="description")).model
+    for name in ("jnt_solref", "jnt_solimp", "tendon_solref_lim", "tendon_solimp_lim"):
+        np.testing.assert_array_equal(getattr(model, name), getattr(ours, name), err_msg=name)
+    assert model.opt.integrator == ours.opt.integrator == int(INTEGRATORS["implicitfast"])
+
+
+def test_a_pulled_cable_stretches_as_derived(paper: Robot) -> None:
+    """All servos pull alike, so the arm stays straight, and its inverse inertia that of the
+    start. The largest compliance of any cable bounds the others."""
+    with running(paper, "mujoco-stock") as simulation:
+        simulation.step(np.full((1, paper.num_cables), -1.0), 2000)
+        tension, longer = simulation.state().cable_tension[0], -slack(paper, simulation)[0]
+        allowed = stretch(simulation, tension.max())
+    assert tension.min() > 45
+    assert 0.8 * allowed < longer.max() < allowed
+    with running(paper, "mujoco-stock:softness=description") as simulation:
+        simulation.step(np.full((1, paper.num_cables), -1.0), 2000)
+        assert -slack(paper, simulation).min() < 1e-2 * longer.max()
