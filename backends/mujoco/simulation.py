@@ -12,18 +12,17 @@ from numpy.typing import NDArray
 
 from backends.mujoco.active_cables import CURRENT, Cables, Limits, base_size, stepping_spec
 from backends.mujoco.copies import write_plant
-from cdcsr.errors import CdcsrError, Diverged
+from cdcsr.errors import CdcsrError
 from cdcsr.robot.description import Robot
+from cdcsr.simulation.cameras import camera_angles
 from cdcsr.simulation.contract import (
     Array,
     Dynamics,
     EngineOptions,
-    Ids,
     Physics,
     Simulation,
     Snapshot,
     State,
-    camera_angles,
 )
 from cdcsr.simulation.engines import processors
 from cdcsr.simulation.loads import Loads
@@ -125,11 +124,9 @@ class BatchSimulation(Simulation):
         if not np.abs(self._qvel).max() < _SPEED_LIMIT:
             speed = np.abs(self._qvel).max(axis=1)
             copy = int(np.flatnonzero(~(speed < _SPEED_LIMIT))[0])
-            raise Diverged(
-                self.engine, copy, float(self._time[copy]), f"a speed of {speed[copy]:.3g}"
-            )
+            raise self._diverged(copy, float(self._time[copy]), f"a speed of {speed[copy]:.3g}")
 
-    def state(self) -> State:
+    def _state(self) -> State:
         num_cables = self._ctrl.shape[1]
         sensors = self._sensors.copy()
         qpos, qvel = self._whole_position(), self._whole_velocity()
@@ -197,19 +194,18 @@ class BatchSimulation(Simulation):
         mujoco.mj_getState(data.model, data, self.batch.state[index], _WHOLE_STATE)
         self.batch.forward([index], stage=CURRENT)
 
-    def dynamics(self, ids: Ids = None) -> Dynamics:
-        chosen = self._chosen(ids)
+    def _dynamics(self, ids: NDArray[np.int64]) -> Dynamics:
         model, data, own = self.model, self._scratch, self._own_model
         nv, num_cables = self.robot.num_coordinates, self.robot.num_cables
-        mass, tip = np.zeros((len(chosen), nv, nv)), np.zeros((len(chosen), 3, nv))
-        bias, passive, velocity = np.zeros((3, len(chosen), nv))
-        cables = np.zeros((len(chosen), num_cables, nv))
-        length = np.zeros((len(chosen), num_cables))
+        mass, tip = np.zeros((len(ids), nv, nv)), np.zeros((len(ids), 3, nv))
+        bias, passive, velocity = np.zeros((3, len(ids), nv))
+        cables = np.zeros((len(ids), num_cables, nv))
+        length = np.zeros((len(ids), num_cables))
         own_mass, own_tip = np.zeros((model.nv, model.nv)), np.zeros((3, model.nv))
         tip_site, diagonal = model.site("tip").id, np.arange(model.nv)
         moved = slice(6 - self._v, None)  # all but a fixed base
         mass[:, :6, :6] = np.eye(6)
-        for i, copy in enumerate(chosen):
+        for i, copy in enumerate(ids):
             if own is not None:
                 model = self.batch.get_model(int(copy), own)
             data.qpos, data.qvel = self._qpos[copy], self._qvel[copy]
@@ -230,7 +226,7 @@ class BatchSimulation(Simulation):
         # MuJoCo's base angular velocity is in the base frame: v_body = R^T v_world. The rate of R^T
         # has no part in the bias, because the rotation of a body leaves its angular velocity
         # unchanged.
-        turn = rotation_matrix(self._qpos[chosen, 3:7])
+        turn = rotation_matrix(self._qpos[ids, 3:7])
         velocity[:, 3:6] = np.einsum("nij,nj->ni", turn, velocity[:, 3:6])
         bias[:, 3:6] = np.einsum("nij,nj->ni", turn, bias[:, 3:6])
         passive[:, 3:6] = np.einsum("nij,nj->ni", turn, passive[:, 3:6])
@@ -239,8 +235,7 @@ class BatchSimulation(Simulation):
         tip[:, :, 3:6] = tip[:, :, 3:6] @ turn.swapaxes(1, 2)
         return Dynamics(mass, bias, passive, tip, cables, velocity, length)
 
-    def render(self, index: int = 0, camera: str = "side") -> NDArray[np.uint8]:
-        self._check_index(index)
+    def _render(self, index: int, camera: str) -> NDArray[np.uint8]:
         azimuth, elevation = camera_angles(camera)
         renderer = self._renderer
         if renderer is None:
@@ -261,7 +256,7 @@ class BatchSimulation(Simulation):
         renderer.update_scene(self._scratch, view)
         return renderer.render()
 
-    def close(self) -> None:
+    def _close(self) -> None:
         if self._renderer is not None:
             self._renderer.close()
             self._renderer = None

@@ -13,6 +13,8 @@ from cdcsr.errors import CdcsrError
 from cdcsr.robot.description import Robot
 from cdcsr.simulation.plant import Plant
 
+MOST_JOINTS = 127
+"""A body with more joints is loaded, but PyBullet's functions fail on it."""
 MAX_JOINT_SPEED = 1e9
 """Bullet clamps joint speeds, in [m/s] and [rad/s], at 100 by default. No speed that is not a
 failure comes near this one."""
@@ -52,8 +54,16 @@ def load_robot_body(robot: Robot, client: int) -> int:
         The body's id.
 
     Raises:
-        CdcsrError: PyBullet read the joints in another order.
+        CdcsrError: the robot has more joints than a PyBullet body, or PyBullet read them in
+            another order.
     """
+    joints = robot.num_cables + robot.num_hinges
+    if joints > MOST_JOINTS:
+        raise CdcsrError(
+            f"PyBullet moves at most {MOST_JOINTS} joints in a body; {robot.name} has {joints}, of "
+            f"{robot.num_cables} cables and {robot.num_links} links with two hinges each. "
+            "Describe it with fewer links, or use the engine mujoco."
+        )
     flags = pybullet.URDF_USE_INERTIA_FROM_FILE
     flags |= pybullet.URDF_IGNORE_COLLISION_SHAPES | pybullet.URDF_IGNORE_VISUAL_SHAPES
     # The name is new each time: PyBullet caches files by their path, and other processes load too.

@@ -21,14 +21,13 @@ from backends.pybullet.options import PybulletOptions, PybulletStockOptions
 from backends.pybullet.workers import Pool
 from backends.pybullet.world import World
 from backends.viewers.software import Renderer
-from cdcsr.errors import CdcsrError, Diverged
+from cdcsr.errors import CdcsrError
 from cdcsr.robot.description import Robot
 from cdcsr.simulation.contract import (
     Array,
     Capability,
     Dynamics,
     EngineOptions,
-    Ids,
     Physics,
     Simulation,
     Snapshot,
@@ -110,9 +109,9 @@ class PybulletSimulation(Simulation):
         lost = self._world.step(command, substeps)
         if lost:
             self._stop_commands(np.array([divergence.copy for divergence in lost]))
-            raise Diverged(self.engine, lost[0].copy, lost[0].time, lost[0].what)
+            raise self._diverged(lost[0].copy, lost[0].time, lost[0].what)
 
-    def state(self) -> State:
+    def _state(self) -> State:
         world, joints, tip = self._world, 7 + self.robot.num_cables, self._world.tip
         return State(
             time=world.time.copy(),
@@ -145,18 +144,14 @@ class PybulletSimulation(Simulation):
         every = np.arange(self.num)
         self._world.place(every, snapshot.time, snapshot.position, snapshot.velocity, tension)
 
-    def dynamics(self, ids: Ids = None) -> Dynamics:
-        chosen = self._chosen(ids)
-        plant = Plant(*(rows[chosen] for rows in self.plant))
-        return self._equation.dynamics(
-            self._world.position[chosen], self._world.velocity[chosen], plant
-        )
+    def _dynamics(self, ids: NDArray[np.int64]) -> Dynamics:
+        plant = Plant(*(rows[ids] for rows in self.plant))
+        return self._equation.dynamics(self._world.position[ids], self._world.velocity[ids], plant)
 
-    def render(self, index: int = 0, camera: str = "side") -> NDArray[np.uint8]:
-        self._check_index(index)
+    def _render(self, index: int, camera: str) -> NDArray[np.uint8]:
         return self._renderer.draw(self._world.position[index], camera)
 
-    def close(self) -> None:
+    def _close(self) -> None:
         self._world.close()
         for name in ("_equation", "_renderer"):
             if name in self.__dict__:

@@ -19,7 +19,7 @@ from cdcsr.robot.description import Robot
 from cdcsr.robot.meshes import link_parts, visual_meshes
 from cdcsr.robot.poses import Poses, link_poses
 from cdcsr.robot.routing import routing
-from cdcsr.simulation.contract import camera_angles
+from cdcsr.simulation.cameras import camera_angles
 
 Array = NDArray[np.float64]
 
@@ -69,7 +69,7 @@ class Renderer:
 
         Args:
             position: one row of a Snapshot's position, shape (7 + C + H,).
-            camera: a name in :data:`cdcsr.simulation.contract.CAMERAS`.
+            camera: a name in :data:`cdcsr.simulation.cameras.CAMERAS`.
             targets: points to mark, shape (n, 3), world frame, in [m].
             size: the height and the width of the picture in pixels.
             focus: a point in the world to look at, and the height of the part of the world to show

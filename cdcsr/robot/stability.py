@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from itertools import pairwise
-from math import pi, sin, sqrt
+from math import inf, pi, sin, sqrt
 
 from cdcsr.robot.description import Robot
 
@@ -28,8 +28,10 @@ def stable_step(robot: Robot) -> float:
         stiffness = joint.stiffness + passing * pull * radius**2
         for axis in (0, 1):
             thin = [body[axis] * (1 - tilt) + body[2] * tilt for body in (lower, upper)]
-            least = [min(body[axis], other) for body, other in zip((lower, upper), thin, strict=True)]
+            least = [
+                min(body[axis], other) for body, other in zip((lower, upper), thin, strict=True)
+            ]
             fastest = max(fastest, 4 * stiffness * (1 / least[0] + 1 / least[1]))
     for servo in robot.servos:
         fastest = max(fastest, servo.gain / servo.mass)
-    return 2 / sqrt(fastest)
+    return 2 / sqrt(fastest) if fastest else inf

@@ -11,15 +11,16 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import ClassVar, Literal
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from pydantic import BaseModel, ConfigDict
 
-from cdcsr.errors import CdcsrError, Diverged, unknown_choice
+from cdcsr.errors import CdcsrError, Diverged
 from cdcsr.robot.description import Robot
+from cdcsr.robot.stability import stable_step
 from cdcsr.simulation.arguments import (
     MOST_COPIES,
     as_command,
@@ -27,12 +28,12 @@ from cdcsr.simulation.arguments import (
     check_count,
     chosen_copies,
 )
+from cdcsr.simulation.cameras import camera_angles
 from cdcsr.simulation.delay_line import DelayLine
 from cdcsr.simulation.loads import Loads
 from cdcsr.simulation.plant import Parameters, Plant
-from cdcsr.simulation.state import Dynamics, Snapshot, State
+from cdcsr.simulation.state import Array, Dynamics, Snapshot, State
 
-Array = NDArray[np.float64]
 Ids = Sequence[int] | NDArray[np.integer] | NDArray[np.bool_] | None
 """Which copies: sorted unique indices, a mask of shape (num,), or None for all copies."""
 _MOST_SUBSTEPS = 1_000_000_000
@@ -84,6 +85,9 @@ class Simulation(ABC):
 
     Commands are servo set-points, shape (num, C), in [-eta, 0] m. Engines do not clip them.
 
+    After `close()` everything but `close()` raises :class:`CdcsrError`. Copies made by the modules
+    `copy` and `pickle` are simulations of their own, in the same state.
+
     Attributes:
         options: how the engine steps.
         plant: the numbers that `set_parameters` changes; read them only.
@@ -122,6 +126,7 @@ class Simulation(ABC):
         self.options = options or self.options_type()
         self.plant: Plant = Parameters().plant(robot, num)
         self.loads = Loads(robot, num)
+        self._closed = False
         self._line = DelayLine(num, robot.num_cables)
 
     @property
@@ -223,6 +228,7 @@ class Simulation(ABC):
                 too large for an engine.
             Diverged: a copy left the range in which its numbers mean anything.
         """
+        self._check_open()
         command = as_command(command, self.plant.servo_gain.shape)
         check_count("substeps", substeps, _MOST_SUBSTEPS)
         if self._line.idle:
@@ -237,12 +243,14 @@ class Simulation(ABC):
         if lost is not None:
             raise lost
 
-    @abstractmethod
     def state(self) -> State:
         """Return the state of all copies. Its arrays do not change when the simulation goes on."""
+        self._check_open()
+        return self._state()
 
     def get_snapshot(self) -> Snapshot:
         """Return all that determines the future of all copies, except for robot and parameters."""
+        self._check_open()
         snapshot = self._get_snapshot()
         return snapshot if self._line.idle else replace(snapshot, commands=self._line.sent)
 
@@ -252,6 +260,7 @@ class Simulation(ABC):
         Raises:
             CdcsrError: it is of another robot or another number of copies.
         """
+        self._check_open()
         if snapshot.robot != self.robot.fingerprint:
             raise CdcsrError(
                 f"The snapshot is of robot {snapshot.robot}; this simulation runs "
@@ -271,25 +280,42 @@ class Simulation(ABC):
         except ValueError as error:
             raise CdcsrError(f"The snapshot does not fit the engine: {error}.") from None
 
-    @abstractmethod
     def dynamics(self, ids: Ids = None) -> Dynamics:
         """Return the equation of motion of some copies, from this engine's own model."""
+        return self._dynamics(self._chosen(ids))
 
-    @abstractmethod
     def render(self, index: int = 0, camera: str = "side") -> NDArray[np.uint8]:
         """Return a picture of one copy, shape (height, width, 3).
 
         Args:
             index: which copy.
-            camera: a name in :data:`CAMERAS`.
+            camera: a name in :data:`cdcsr.simulation.cameras.CAMERAS`.
 
         Raises:
             CdcsrError: there is no such copy or camera, or the engine cannot draw here.
         """
+        self._check_open()
+        check_count("The index of a copy", index, self.num - 1, least=0)
+        camera_angles(camera)
+        return self._render(index, camera)
 
-    @abstractmethod
     def close(self) -> None:
-        """Release what the engine holds."""
+        """Release what the engine holds; to close twice does nothing."""
+        if not self._closed:
+            self._closed = True
+            self._close()
+
+    def __reduce__(self) -> tuple[object, ...]:
+        self._check_open()
+        changed = any(
+            (mine != described).any()
+            for mine, described in zip(
+                self.plant, Parameters().plant(self.robot, self.num), strict=True
+            )
+        )
+        plant = self.plant if changed else None
+        parts = type(self), self.robot, self.num, self.options, plant, self._line, self.loads
+        return _rebuild, (*parts, self._get_snapshot())
 
     # What an engine implements. Arguments are checked, commands already delayed, copies in order.
 
@@ -299,6 +325,18 @@ class Simulation(ABC):
 
     def _set_loads(self) -> None:  # noqa: B027 - an engine without loads needs none
         """Take note that `loads` has changed; `_step` and `dynamics` must apply it."""
+
+    @abstractmethod
+    def _state(self) -> State: ...
+
+    @abstractmethod
+    def _dynamics(self, ids: NDArray[np.int64]) -> Dynamics: ...
+
+    @abstractmethod
+    def _render(self, index: int, camera: str) -> NDArray[np.uint8]: ...
+
+    @abstractmethod
+    def _close(self) -> None: ...
 
     @abstractmethod
     def _reset(self, ids: NDArray[np.int64]) -> None: ...
@@ -319,28 +357,37 @@ class Simulation(ABC):
         """Set the commands under way to copies that are back at the start to zero."""
         self._line.fill(ids, np.zeros((len(ids), self.robot.num_cables)))
 
-    def _check_index(self, index: int) -> None:
-        check_count("The index of a copy", index, self.num - 1, least=0)
+    def _diverged(self, copy: int, time: float, what: str) -> Diverged:
+        """Return the error of a copy that diverged at a time in [s]."""
+        remedy = f"springs are stable below a time_step of {stable_step(self.robot):.2g} s"
+        return Diverged(self.engine, copy, time, f"{what}; {remedy}")
+
+    def _check_open(self) -> None:
+        if self._closed:
+            raise CdcsrError(f"This {self.engine} simulation is closed; make a new one.")
 
     def _chosen(self, ids: Ids) -> NDArray[np.int64]:
+        self._check_open()
         return chosen_copies(ids, self.num)
 
 
-CAMERAS: dict[str, tuple[float, float]] = {
-    "side": (55.0, -8.0),
-    "front": (0.0, 0.0),
-    "top": (55.0, -50.0),
-}
-"""Named views: azimuth around z from the y axis and elevation, in degrees. All look at the middle
-of the robot."""
-
-
-def camera_angles(name: str) -> tuple[float, float]:
-    """Return the azimuth and the elevation of a named view, in degrees; see :data:`CAMERAS`.
-
-    Raises:
-        CdcsrError: there is no view of that name.
-    """
-    if name not in CAMERAS:
-        raise CdcsrError(unknown_choice("camera", name, CAMERAS))
-    return CAMERAS[name]
+def _rebuild(
+    kind: type[Simulation],
+    robot: Robot,
+    num: int,
+    options: EngineOptions,
+    plant: Plant | None,
+    line: DelayLine,
+    loads: Loads,
+    snapshot: Snapshot,
+) -> Simulation:
+    """Make the copy of a simulation, for the modules `copy` and `pickle`."""
+    simulation = kind(robot, num, options)
+    if plant is not None:
+        for mine, own in zip(simulation.plant, plant, strict=True):
+            mine[:] = own
+        simulation._set_plant(np.arange(num), plant)
+    simulation._line, simulation.loads = line, loads
+    simulation._set_loads()
+    simulation._set_snapshot(snapshot)
+    return simulation
