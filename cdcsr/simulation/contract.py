@@ -11,12 +11,11 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
-from typing import ClassVar, Literal
+from dataclasses import replace
+from typing import ClassVar
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from pydantic import BaseModel, ConfigDict
 
 from cdcsr.errors import CdcsrError, Diverged
 from cdcsr.robot.description import Robot
@@ -29,6 +28,7 @@ from cdcsr.simulation.arguments import (
     chosen_copies,
 )
 from cdcsr.simulation.cameras import camera_angles
+from cdcsr.simulation.declarations import Capability, EngineOptions, Physics
 from cdcsr.simulation.delay_line import DelayLine
 from cdcsr.simulation.loads import Loads
 from cdcsr.simulation.plant import Parameters, Plant
@@ -37,42 +37,6 @@ from cdcsr.simulation.state import Array, Dynamics, Snapshot, State
 Ids = Sequence[int] | NDArray[np.integer] | NDArray[np.bool_] | None
 """Which copies: sorted unique indices, a mask of shape (num,), or None for all copies."""
 _MOST_SUBSTEPS = 1_000_000_000
-
-Capability = Literal["render", "bit_exact", "soft_cables", "any_arm"]
-"""An ability that only some engines have. render: it has its own camera. bit_exact: the same
-commands give the same bits, also after a snapshot. soft_cables: cables under tension are longer
-than at rest, by millimetres. any_arm: it takes every description, also with a fixed or turned base,
-gravity, torsion or no cables, and it takes loads."""
-
-
-class EngineOptions(BaseModel):
-    """The options of an engine; the base class has none. Values may come as text."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid", use_attribute_docstrings=True)
-
-
-_UNKNOWN = "not declared"
-
-
-@dataclass(frozen=True)
-class Physics:
-    """Who computes each part of the motion: the physics package, or this project.
-
-    Each text is short; it begins with "ours" where the project's own code decides the motion.
-    """
-
-    joint_dynamics: str = _UNKNOWN
-    """From forces to accelerations: mass matrix, Coriolis and centrifugal forces."""
-    integration: str = _UNKNOWN
-    """From accelerations to the next state."""
-    cables: str = _UNKNOWN
-    """What keeps cables from getting longer than at rest."""
-    limits: str = _UNKNOWN
-    """What stops a hinge at its limit."""
-    servos: str = _UNKNOWN
-    """What pulls a slider to its set-point."""
-    damping: str = _UNKNOWN
-    """How the dampers of hinges and sliders enter a step."""
 
 
 class Simulation(ABC):

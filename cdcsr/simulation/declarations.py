@@ -1,0 +1,44 @@
+"""What an engine declares: its abilities, its options, and what in it is its own."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal
+
+from pydantic import BaseModel, ConfigDict
+
+Capability = Literal["render", "bit_exact", "soft_cables", "any_arm"]
+"""An ability that only some engines have. render: it has its own camera. bit_exact: the same
+commands give the same bits, also after a snapshot. soft_cables: cables under tension are longer
+than at rest, by millimetres. any_arm: it takes every description, also with a fixed or turned base,
+gravity, torsion or no cables, and it takes loads."""
+
+
+class EngineOptions(BaseModel):
+    """The options of an engine; the base class has none. Values may come as text."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid", use_attribute_docstrings=True)
+
+
+_UNKNOWN = "not declared"
+
+
+@dataclass(frozen=True)
+class Physics:
+    """Who computes each part of the motion: the physics package, or this project.
+
+    Each text is short; it begins with "ours" where the project's own code decides the motion.
+    """
+
+    joint_dynamics: str = _UNKNOWN
+    """From forces to accelerations: mass matrix, Coriolis and centrifugal forces."""
+    integration: str = _UNKNOWN
+    """From accelerations to the next state."""
+    cables: str = _UNKNOWN
+    """What keeps cables from getting longer than at rest."""
+    limits: str = _UNKNOWN
+    """What stops a hinge at its limit."""
+    servos: str = _UNKNOWN
+    """What pulls a slider to its set-point."""
+    damping: str = _UNKNOWN
+    """How the dampers of hinges and sliders enter a step."""
