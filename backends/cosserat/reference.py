@@ -1,7 +1,7 @@
 """Shapes of continuous rods, solved by SoRoSim: the data of OpenCR-MuJoCo (arXiv 2606.22397).
 
-The files' frame has the straight rod along +x; here it stands along +z of the base's frame, and
-(x, y, z) of a file is (-z, -y, x) turned back: see :func:`_turned`. All is in SI units.
+The files' frame has the straight rod along +x; here it stands along +z of the base's frame: see
+:func:`_turned`. All is in SI units.
 """
 
 from __future__ import annotations
@@ -16,7 +16,6 @@ from cdcsr.robot.description import Robot
 from cdcsr.simulation.contract import Array
 
 _STATICS = "statics/{}RodMuJoCo_dataStatics.csv"
-_RELEASES = "dynamics/{}RodMuJoCo_*.txt"
 _FILE_NAMES = {"steel": "SpringSteel", "tpu": "TPU"}
 _RODS = {
     "steel": {
@@ -49,20 +48,6 @@ class Shapes:
     """Torque in [N m] and force in [N] at the tip, shape (n, 6)."""
     place: Array
     """Of the middle and the tip, from the clamp, shape (n, 2, 3), in [m]."""
-
-
-@dataclass(frozen=True)
-class Release:
-    """A rod that is held by wrenches and let go at time zero."""
-
-    shape: Shapes
-    """How it is held; one shape."""
-    damping_time: float
-    """Damping divided by stiffness, in [s]."""
-    time: Array
-    """Shape (steps,), in [s]."""
-    place: Array
-    """Of the middle and the tip, from the clamp, shape (steps, 2, 3), in [m]."""
 
 
 def rod(material: str, links: int, damping_time: float = 0.004, time_step: float = 1e-3) -> Robot:
@@ -100,28 +85,9 @@ def read_shapes(folder: Path, material: str) -> Shapes:
     return Shapes(gravity[:, 3:], middle, tip, place)
 
 
-def read_releases(folder: Path, material: str) -> list[Release]:
-    """Read the releases of a material, in the order of the files' names.
-
-    Raises:
-        CdcsrError: an unknown material, or a file is missing or has another format.
-    """
-    paths = sorted(folder.glob(_RELEASES.format(_file_name(material))))
-    if not paths:
-        raise CdcsrError(f"There are no releases {_RELEASES.format('*')} in {folder}.")
-    return [_read_release(path) for path in paths]
-
-
-def _read_release(path: Path) -> Release:
-    try:
-        table = np.loadtxt(path)
-        (damping, *_), held, rows = table[0], table[1], table[2:]
-        gravity, middle, tip = table[0, 10:], held[1:7], held[7:13]
-        place = np.stack([_turned(rows[:, 4:7]), _turned(rows[:, 10:13])], axis=1)
-    except (OSError, ValueError, IndexError) as error:
-        raise CdcsrError(f"Cannot read the release in {path}: {error}.") from None
-    shape = Shapes(_turned(gravity)[None], _wrench(middle)[None], _wrench(tip)[None], place[:1])
-    return Release(shape, float(damping), rows[:, 0], place)
+def first(shapes: Shapes, num: int) -> Shapes:
+    """Return the first `num` shapes."""
+    return Shapes(shapes.gravity[:num], shapes.middle[:num], shapes.tip[:num], shapes.place[:num])
 
 
 def _wrench(values: Array) -> Array:
