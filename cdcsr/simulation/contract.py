@@ -49,8 +49,7 @@ class Simulation(ABC):
 
     Commands are servo set-points, shape (num, C), in [-eta, 0] m. Engines do not clip them.
 
-    After `close()` everything but `close()` raises :class:`CdcsrError`. Copies made by the modules
-    `copy` and `pickle` are simulations of their own, in the same state.
+    After `close()` all else raises :class:`CdcsrError`. What `copy` and `pickle` make is its own.
 
     Attributes:
         options: how the engine steps.
@@ -67,10 +66,9 @@ class Simulation(ABC):
     """The engine's name as it is written in text."""
     capabilities: ClassVar[frozenset[Capability]]
     variant_of: ClassVar[str | None] = None
-    """The engine of the same package whose model files this one runs. Studies train, and benchmarks
-    measure growth, in engines that are no variants; None for such an engine."""
+    """The engine whose model files this one runs. Studies train in engines with None here."""
     version: ClassVar[str] = "unknown"
-    """The version of the physics package."""
+    """Of the physics package."""
     physics: ClassVar[Physics] = Physics()
     options_type: ClassVar[type[EngineOptions]] = EngineOptions
     """The class of the options, each with its default, its bounds and a docstring."""
@@ -174,13 +172,8 @@ class Simulation(ABC):
             CdcsrError: an array has the wrong shape, or a number in it is not finite.
         """
         chosen, size = self._chosen(ids), self.robot.num_coordinates
-        for name, array, width in (("position", position, size + 1), ("velocity", velocity, size)):
-            if np.shape(array) != (len(chosen), width) or not np.isfinite(array).all():
-                raise CdcsrError(
-                    f"place() takes a finite {name} of the shape {(len(chosen), width)}; found one "
-                    f"of the shape {np.shape(array)}, with {np.sum(~np.isfinite(array))} numbers "
-                    "that are not finite."
-                )
+        position = as_floats("The position", position, (len(chosen), size + 1))
+        velocity = as_floats("The velocity", velocity, (len(chosen), size))
         self._stop_commands(chosen)
         self._place(chosen, position, velocity)
 

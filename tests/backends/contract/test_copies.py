@@ -141,6 +141,6 @@ def test_a_state_that_does_not_fit_is_not_placed(
     with running(paper, engine, 2) as simulation:
         before = simulation.state()
         for array in (np.zeros((1, width + 1)), np.full((1, width), np.nan)):
-            with pytest.raises(CdcsrError, match=f"a finite {name} of the shape"):
+            with pytest.raises(CdcsrError, match=f"The {name} must (have the shape|be finite)"):
                 simulation.place([1], **(wrong | {name: array}))
         assert_same(simulation.state(), before)

@@ -95,6 +95,8 @@ def test_a_rod_under_a_torque_along_it_twists_by_t_l_over_g_j(engine: str, make:
 
 def test_a_cable_bends_a_rod_into_the_constant_curvature_arc(engine: str, make: Make) -> None:
     """A tension T at the distance r from the axis makes the curvature T r / (E I) everywhere."""
+    if "soft_cables" in load_backend(engine).capabilities:
+        pytest.skip("a soft cable gives way by more than this pull")
     off = []
     for links in (6, 12, 24):
         cables = CABLES["cables"] | {"guide_offset": 0.02 * LENGTH / links}

@@ -7,8 +7,10 @@ from pathlib import Path
 
 import pytest
 
+from cdcsr.cli import run
 from cdcsr.simulation import engines as registry
 from training.commands.engines import engines
+from training.commands.validate import validate
 
 
 def test_every_engine_says_what_is_its_own_and_what_a_step_costs(
@@ -37,3 +39,19 @@ def test_a_broken_engine_is_listed_with_its_error(
     monkeypatch.setattr(registry, "load_backend", broken)
     engines(robot="planar-single")
     assert "mujoco: cannot be loaded: ImportError: no library for mujoco" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        (["cosserat", "missing"], "missing"),
+        (["cosserat", ".", "--links", "0"], "links must be at least 1"),
+    ],
+)
+def test_validate_ends_in_one_clear_line(
+    options: list[str], message: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert run(validate, "cdcsr validate", options) == 2
+    error = capsys.readouterr().err
+    assert message in error
+    assert "Traceback" not in error

@@ -31,7 +31,8 @@ def policy() -> Policy:
 def test_one_step_of_a_free_slider(backend: str, name: str, level: float, paper: Robot) -> None:
     """A cable that is let out is slack; its slider moves by itself: m v / h = k u - c v.
 
-    The base is 2500 times as heavy.
+    The base is 2500 times as heavy. Bullet's damper sees the speed before the step, which is zero,
+    unless the damper is stiff.
     """
     plant, servo, step, out = AXES[name].plant(paper, level), paper.servos[0], paper.time_step, 0.1
     gain, damping = servo.gain, servo.damping
@@ -46,6 +47,8 @@ def test_one_step_of_a_free_slider(backend: str, name: str, level: float, paper:
     simulation.step(np.array([[out] + [0.0] * 7]))
     velocity = simulation.get_snapshot().velocity[0, 6]
     simulation.close()
+    if backend.startswith("pybullet") and step * damping < 0.5 * servo.mass:
+        damping = 0.0
     assert velocity == pytest.approx(step * gain * out / (servo.mass + step * damping), rel=1e-3)
 
 

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from cdcsr.envs.disturbances import Disturbances
 from cdcsr.robot.description import Robot
 from cdcsr.simulation.contract import State
-from cdcsr.simulation.engines import backend_names
+from cdcsr.simulation.engines import backend_names, principal_engines
 from cdcsr.tasks.spaces import make_space
 from cdcsr.tasks.target_motion import make_motion
 from controllers.controller import Controller, Target
@@ -167,7 +167,9 @@ def test_following_is_of_the_policy_in_its_space_and_read_as_it_was(
     EVALUATIONS["follow"].write(tmp_path / "follow.csv", subject, 100)
     columns = read_csv(tmp_path / "follow.csv", FOLLOW_KINDS)
     motions = [
-        (engine, motion) for engine in backend_names() for motion in ("line", "circle", "random")
+        (engine, motion)
+        for engine in principal_engines()
+        for motion in ("line", "circle", "random")
     ]
     assert [(one["backend"], one["motion"]) for one in asked] == motions
     assert [*zip(columns["backend"].tolist(), columns["motion"].tolist(), strict=True)] == motions
