@@ -9,7 +9,7 @@ import gymnasium
 for _id, _task in (("Reach", "reach"), ("Capture", "capture"), ("Follow", "follow-line")):
     gymnasium.register(
         f"cdcsr/{_id}-v0",
-        entry_point="cdcsr.envs.gym_env:TaskEnv",
+        entry_point="cdcsr.envs.single_env:TaskEnv",
         vector_entry_point="cdcsr.envs.gym_env:TaskVectorEnv",
         kwargs={"task": _task},
     )

@@ -38,11 +38,15 @@ class Diverged(CdcsrError, FloatingPointError):
 
     Attributes:
         copy: the index of the first copy that diverged.
-        time: the simulated time of that copy, in [s].
+        copies: the indices of all copies that diverged in this step.
+        time: the simulated time of the first, in [s].
     """
 
-    def __init__(self, engine: str, copy: int, time: float, what: str) -> None:
+    def __init__(
+        self, engine: str, copy: int, time: float, what: str, copies: Iterable[int] = ()
+    ) -> None:
         self.copy = copy
+        self.copies = tuple(sorted({copy, *copies}))
         self.time = time
         super().__init__(
             f"{engine}: copy {copy} diverged at t = {time:.4f} s ({what}); "

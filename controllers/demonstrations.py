@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import copy
 import hashlib
+import io
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -28,7 +29,7 @@ def digest(episodes: Sequence[Episode]) -> str:
 
 def record(
     controller: Controller, env: TaskVectorEnv, num: int, seed: int
-) -> tuple[list[Episode], int]:
+) -> tuple[list[Episode], int, int]:
     """Record successful episodes of a controller; in place of failed ones new targets are drawn.
 
     Args:
@@ -38,25 +39,27 @@ def record(
         seed: seeds the targets.
 
     Returns:
-        The episodes in the order of their targets, and how many episodes failed.
+        The episodes in the order of their targets, how many episodes failed, and how many of those
+        because the simulation diverged.
 
     Raises:
         CdcsrError: fewer than one in ten of the episodes succeeds.
     """
     episodes: list[Episode] = []
-    failed = 0
+    failed = diverged = 0
     observation, _ = env.reset(seed=seed)
     while True:
         batch = rollout(controller, env, observation)
         failed += int((~batch.success).sum())
+        diverged += batch.diverged
         episodes += batch.successes()
         if len(episodes) >= num:
-            return episodes[:num], failed
+            return episodes[:num], failed, diverged
         if failed > 10 * max(num, env.num_envs):
             raise CdcsrError(
                 f"The controller {controller.name!r} reached {len(episodes)} of "
-                f"{len(episodes) + failed} targets in the space {env.space.name!r}; move or shrink "
-                "the robot's workspace."
+                f"{len(episodes) + failed} targets in the space {env.space.name!r} ({diverged} "
+                "episodes diverged); move or shrink the robot's workspace."
             )
         observation, _ = env.reset()
 
@@ -64,7 +67,14 @@ def record(
 def save(
     folder: Path, episodes: list[Episode], env: TaskVectorEnv, controller: str, dataset_id: str
 ) -> None:
-    """Write a Minari dataset (hdf5) into an existing, empty folder."""
+    """Write a Minari dataset (hdf5) into an existing, empty folder.
+
+    HDF5 ends the process when a disk is full, so it writes into memory.
+
+    Raises:
+        OSError: the disk is full, or the folder may not be written to.
+    """
+    import h5py
     import minari
     from minari.data_collector import EpisodeBuffer
     from minari.dataset.minari_storage import MinariStorage
@@ -110,7 +120,12 @@ def save(
                 truncations=list(last & (not episode.terminated)),
             )
         )
+    content = io.BytesIO()
+    h5py.File(content, "w", track_order=True).close()
+    storage._file_path, path = content, storage._file_path  # type: ignore[attr-defined]
     storage.update_episodes(buffers)
+    path.write_bytes(content.getvalue())
+    storage.update_metadata({"dataset_size": storage.get_size()})
 
 
 def load(

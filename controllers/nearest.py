@@ -81,7 +81,7 @@ class Nearest(Controller):
             )
             try:
                 demonstrator = JacobianController(self._robot)
-                self._recorded[key], _ = record(demonstrator, env, NUM_DEMONSTRATIONS, SEED)
+                self._recorded[key], *_ = record(demonstrator, env, NUM_DEMONSTRATIONS, SEED)
             finally:
                 env.close()
         return self._recorded[key]

@@ -62,6 +62,8 @@ class Rollout:
     """From tip to target at that end, shape (N,), in [m]."""
     nearest: Array
     """The least distance until that end, of the plant whatever was observed, (N,), in [m]."""
+    diverged: int = 0
+    """The number of episodes that ended because the simulation diverged; they are no successes."""
 
     def successes(self) -> list[Episode]:
         """Return the successful episodes, each cut to its length."""
@@ -135,7 +137,7 @@ def rollout(
     num = env.num_envs
     active = np.ones(num, dtype=bool)
     success, ended = np.zeros((2, num), dtype=bool)
-    length = np.zeros(num, dtype=np.int64)
+    length, diverged = np.zeros(num, dtype=np.int64), 0
     distance, nearest = np.full((2, num), np.inf)
     observations, actions, rewards, targets = [observation], [], [], env.targets.copy()
     conditions = conditions_in(env)
@@ -152,6 +154,8 @@ def rollout(
         nearest[active] = np.minimum(nearest, info["distance"])[active]
         success[active] = info["is_success"][active]
         ended |= active & terminated
+        if "diverged" in info:
+            diverged += int((active & info["diverged"]).sum())
         active &= ~(terminated | truncated)
         watch(len(actions), info)
     return Rollout(
@@ -164,4 +168,5 @@ def rollout(
         length,
         distance,
         nearest,
+        diverged,
     )

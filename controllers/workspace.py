@@ -27,7 +27,7 @@ def compute_workspace(
     backend: str,
     spacing: float,
     frame_skip: int,
-    progress: Callable[[int, int], None] = lambda *_: None,
+    progress: Callable[[int, int, int], None] = lambda *_: None,
 ) -> Workspace:
     """Try the points of a grid, from the middle of the robot's Anchor Space outwards.
 
@@ -39,7 +39,8 @@ def compute_workspace(
         backend: the engine.
         spacing: the distance between neighbours in the grid, in [m].
         frame_skip: how many simulation steps each of the demonstrator's commands is held for.
-        progress: called after each batch with the numbers of points tried and reached.
+        progress: called after each batch with the numbers of points tried, of points reached, and
+            of episodes that diverged.
 
     Raises:
         CdcsrError: the demonstrator reaches all corners of no cell of the grid.
@@ -49,7 +50,7 @@ def compute_workspace(
     waiting: list[tuple[int, int, int]] = [(0, 0, 0)]
     known = {(0, 0, 0)}
     controller = JacobianController(robot)
-    tried = 0
+    tried = diverged = 0
     while waiting:
         batch, waiting = waiting[:BATCH], waiting[BATCH:]
         env = TaskVectorEnv(
@@ -57,7 +58,8 @@ def compute_workspace(
         )
         try:
             observation, _ = env.reset(options={"targets": middle + spacing * np.array(batch)})
-            success = rollout(controller, env, observation).success
+            done = rollout(controller, env, observation)
+            success, diverged = done.success, diverged + done.diverged
         finally:
             env.close()
         tried += len(batch)
@@ -67,7 +69,7 @@ def compute_workspace(
                 if (x, y, z) not in known:
                     known.add((x, y, z))
                     waiting.append((x, y, z))
-        progress(tried, len(reached))
+        progress(tried, len(reached), diverged)
     cells, wide = cells_between(np.array(reached, dtype=np.int64).reshape(-1, 3))
     if len(cells) == 0:
         raise CdcsrError(

@@ -123,8 +123,9 @@ class BatchSimulation(Simulation):
         # NaN compares false, so "not below" catches it too.
         if not np.abs(self._qvel).max() < _SPEED_LIMIT:
             speed = np.abs(self._qvel).max(axis=1)
-            copy = int(np.flatnonzero(~(speed < _SPEED_LIMIT))[0])
-            raise self._diverged(copy, float(self._time[copy]), f"a speed of {speed[copy]:.3g}")
+            copies = np.flatnonzero(~(speed < _SPEED_LIMIT)).tolist()
+            time, fastest = float(self._time[copies[0]]), float(speed[copies[0]])
+            raise self._diverged(copies, time, f"a speed of {fastest:.3g}")
 
     def _state(self) -> State:
         num_cables = self._ctrl.shape[1]

@@ -77,7 +77,7 @@ def measure(
     loops: list[OpenLoop] = []
     variants = len(engines) * sum(REFINEMENTS) + sum(map(len, (switches or {}).values()))
     total = sum(run.values.shape[0] * run.values.shape[1] * (2 + variants) for run in runs)
-    with tqdm(total=total, unit="step", disable=not progress) as bar:
+    with tqdm(total=total, unit="step", disable=None if progress else True) as bar:
         for commands in runs:
             bar.set_description(f"one step, {commands.name}")
             steps += one_step(robot, engines, commands, bar.update)

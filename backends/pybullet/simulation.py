@@ -108,8 +108,9 @@ class PybulletSimulation(Simulation):
     def _step(self, command: Array, substeps: int) -> None:
         lost = self._world.step(command, substeps)
         if lost:
-            self._stop_commands(np.array([divergence.copy for divergence in lost]))
-            raise self._diverged(lost[0].copy, lost[0].time, lost[0].what)
+            copies = [divergence.copy for divergence in lost]
+            self._stop_commands(np.array(copies))
+            raise self._diverged(copies, lost[0].time, lost[0].what)
 
     def _state(self) -> State:
         world, joints, tip = self._world, 7 + self.robot.num_cables, self._world.tip

@@ -1,9 +1,9 @@
-"""Gymnasium environments over any engine: one robot or many at any task."""
+"""The Gymnasium vector environment over any engine: many robots at any task."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any, Unpack
+from typing import Any
 
 import gymnasium as gym
 import numpy as np
@@ -13,9 +13,9 @@ from numpy.typing import ArrayLike, NDArray
 
 from cdcsr.envs.disturbances import Channel, Disturbances
 from cdcsr.envs.episodes import Episodes
-from cdcsr.envs.options import EnvOptions, read_reset_options
+from cdcsr.envs.options import read_reset_options
 from cdcsr.envs.rng_state import pack_generator, unpack_generator
-from cdcsr.errors import CdcsrError
+from cdcsr.errors import CdcsrError, Diverged
 from cdcsr.robot.description import Robot, load_robot
 from cdcsr.simulation.arguments import MOST_COPIES, as_floats, check_count
 from cdcsr.simulation.contract import Snapshot, State
@@ -119,6 +119,7 @@ class TaskVectorEnv(VectorEnv[Array, Array, NDArray[np.generic]]):
         self._disturbances = disturbances or Disturbances()
         self._spawn()
         self._begun = False
+        self.divergence: Diverged | None = None
 
     def _set_gym_attributes(self, num_envs: int, mode: AutoresetMode) -> None:
         """Set what Gymnasium asks of every vector environment."""
@@ -199,6 +200,10 @@ class TaskVectorEnv(VectorEnv[Array, Array, NDArray[np.generic]]):
     def step(self, actions: ArrayLike) -> tuple[Array, Array, Mask, Mask, Info]:
         """Advance all robots by one action.
 
+        The episode of a copy that diverges is truncated, without success; the copy is back at the
+        start. ``info["diverged"]`` then says which copies did, shape (num_envs,), and the attribute
+        `divergence` why.
+
         Args:
             actions: servo set-points, shape (num_envs, C), in [m]; clipped to [-eta, 0].
 
@@ -207,20 +212,23 @@ class TaskVectorEnv(VectorEnv[Array, Array, NDArray[np.generic]]):
 
         Raises:
             CdcsrError: no episode has begun, or actions have another shape or are not finite.
-            Diverged: a copy left the range in which its numbers mean anything.
         """
         if not self._begun:
             raise CdcsrError("Call reset() before the first step().")
         command = self._channel.command(as_floats("actions", actions, self._shape))
         command = np.minimum(np.maximum(command, -self._eta), 0)  # three times as fast as np.clip
-        self.simulation.step(command, self.frame_skip)
+        lost = self._advance(command)
         self._episodes.advance(self.frame_skip, self.robot.time_step)
         state = self.simulation.state()
         distance, verdict = self._episodes.judge(state)
+        if lost.any():
+            verdict = verdict.without(lost)
         observation = self._channel.observe(observe(state, self.targets, distance))
         reward = self.task.reward(distance, verdict.rewarded)
-        truncated = ~verdict.terminated & (self.actions_taken >= self.max_actions)
+        truncated = ~verdict.terminated & ((self.actions_taken >= self.max_actions) | lost)
         info = self._info(state, distance, verdict)
+        if lost.any():
+            info["diverged"] = lost
         done = verdict.terminated | truncated
         if self._autoreset and done.any():
             info |= {
@@ -231,6 +239,17 @@ class TaskVectorEnv(VectorEnv[Array, Array, NDArray[np.generic]]):
             }
             observation = self._begin(done, None)
         return observation, reward, verdict.terminated.copy(), truncated, info
+
+    def _advance(self, command: Array) -> Mask:
+        """Step the engine, put copies that diverge back to the start, and return which did."""
+        lost, self.divergence = np.zeros(self.num_envs, dtype=np.bool_), None
+        try:
+            self.simulation.step(command, self.frame_skip)
+        except Diverged as error:
+            self.divergence = error
+            lost[list(error.copies)] = True
+            self.simulation.reset(error.copies)
+        return lost
 
     def get_state(self) -> dict[str, NDArray[np.generic]]:
         """Return all that determines the future, as arrays by name; random generators included.
@@ -299,60 +318,3 @@ class TaskVectorEnv(VectorEnv[Array, Array, NDArray[np.generic]]):
     def close_extras(self, **_: object) -> None:
         """Release what the engine holds; Gymnasium calls this from `close`."""
         self.simulation.close()
-
-
-class TaskEnv(gym.Env[Array, Array]):
-    """One robot at a task: :class:`TaskVectorEnv` with one copy and no autoreset.
-
-    ``gymnasium.make("cdcsr/Reach-v0", ...)`` makes one; Capture and Follow have the same
-    arguments. ``reset(options={"target": (x, y, z)})`` sets where the target begins, in [m],
-    instead of drawing it.
-
-    Args:
-        render_mode: "rgb_array" or None.
-        options: see :class:`EnvOptions`.
-    """
-
-    metadata: Info = {  # noqa: RUF012 (Gymnasium's name and type)
-        "render_modes": ["rgb_array"],
-        "render_fps": 50,
-    }
-
-    def __init__(self, render_mode: str | None = None, **options: Unpack[EnvOptions]) -> None:
-        self.render_mode = render_mode
-        self.batch = TaskVectorEnv(1, autoreset_mode=AutoresetMode.DISABLED, **options)
-        self.observation_space = self.batch.single_observation_space
-        self.action_space = self.batch.single_action_space
-
-    def reset(self, *, seed: int | None = None, options: Info | None = None) -> tuple[Array, Info]:
-        """Begin a new episode; see :meth:`TaskVectorEnv.reset`."""
-        super().reset(seed=seed)
-        given = read_reset_options(options, target=(3,))
-        targets = {"targets": given["target"][None]} if given else None
-        observation, info = self.batch.reset(seed=seed, options=targets)
-        return observation[0], _first(info)
-
-    def step(self, action: Array) -> tuple[Array, float, bool, bool, Info]:
-        """Advance the robot by one action, shape (C,); see :meth:`TaskVectorEnv.step`."""
-        row = as_floats("action", action, self.action_space.shape or ())[None]
-        observation, reward, terminated, truncated, info = self.batch.step(row)
-        return (
-            observation[0],
-            float(reward[0]),
-            bool(terminated[0]),
-            bool(truncated[0]),
-            _first(info),
-        )
-
-    def render(self) -> NDArray[np.uint8] | None:
-        """Return a picture, shape (height, width, 3), if the render mode asks for it."""
-        return self.batch.simulation.render(0) if self.render_mode == "rgb_array" else None
-
-    def close(self) -> None:
-        """Release what the engine holds."""
-        self.batch.close()
-
-
-def _first(info: Info) -> Info:
-    """Return the info of the only copy."""
-    return {name: rows[0].item() for name, rows in info.items()}

@@ -68,7 +68,6 @@ class Simulation(ABC):
     variant_of: ClassVar[str | None] = None
     """The engine whose model files this one runs. Studies train in engines with None here."""
     version: ClassVar[str] = "unknown"
-    """Of the physics package."""
     physics: ClassVar[Physics] = Physics()
     options_type: ClassVar[type[EngineOptions]] = EngineOptions
     """The class of the options, each with its default, its bounds and a docstring."""
@@ -83,8 +82,7 @@ class Simulation(ABC):
                 f"The engine {self.engine!r} cannot simulate {robot.name!r}: "
                 f"{robot.beyond_first_version}; choose an engine that can (mujoco)."
             )
-        self.robot = robot
-        self.num = num
+        self.robot, self.num = robot, num
         self.options = options or self.options_type()
         self.plant: Plant = Parameters().plant(robot, num)
         self.loads = Loads(robot, num)
@@ -183,7 +181,8 @@ class Simulation(ABC):
         Raises:
             CdcsrError: the command has not the shape (num, C), or a number in it is not finite or
                 too large for an engine.
-            Diverged: a copy left the range in which its numbers mean anything.
+            Diverged: copies left the range in which their numbers mean anything. The others have
+                made all steps; reset those before the next step.
         """
         self._check_open()
         command = as_command(command, self.plant.servo_gain.shape)
@@ -191,14 +190,15 @@ class Simulation(ABC):
         if self._line.idle:
             self._step(command, substeps)
             return
-        lost: Diverged | None = None
+        lost: list[Diverged] = []
         for _ in range(substeps):
             try:
                 self._step(self._line.push(command), 1)
             except Diverged as error:  # the other copies still get all substeps
-                lost = lost or error
-        if lost is not None:
-            raise lost
+                lost.append(error)
+        if lost:
+            lost[0].copies = tuple(sorted({copy for error in lost for copy in error.copies}))
+            raise lost[0]
 
     def state(self) -> State:
         """Return the state of all copies. Its arrays do not change when the simulation goes on."""
@@ -314,10 +314,10 @@ class Simulation(ABC):
         """Set the commands under way to copies that are back at the start to zero."""
         self._line.fill(ids, np.zeros((len(ids), self.robot.num_cables)))
 
-    def _diverged(self, copy: int, time: float, what: str) -> Diverged:
-        """Return the error of a copy that diverged at a time in [s]."""
+    def _diverged(self, copies: Sequence[int], time: float, what: str) -> Diverged:
+        """Return the error of copies that diverged, the first at a time in [s]."""
         remedy = f"springs are stable below a time_step of {stable_step(self.robot):.2g} s"
-        return Diverged(self.engine, copy, time, f"{what}; {remedy}")
+        return Diverged(self.engine, copies[0], time, f"{what}; {remedy}", copies)
 
     def _check_open(self) -> None:
         if self._closed:

@@ -41,6 +41,10 @@ class Verdict(NamedTuple):
     rewarded: Mask
     """Where the sparse reward is 1."""
 
+    def without(self, lost: Mask) -> Verdict:
+        """Return the verdict with nothing achieved by some copies."""
+        return Verdict(*(rows & ~lost for rows in self))
+
 
 @dataclass(frozen=True)
 class Task(ABC):

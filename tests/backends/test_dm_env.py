@@ -14,7 +14,7 @@ from dm_control.viewer import runtime
 from dm_env import StepType, TimeStep, test_utils
 
 from backends.dm_env import MujocoPhysics, TaskEnvironment, make_dm_environment
-from cdcsr.envs.gym_env import TaskEnv
+from cdcsr.envs.single_env import TaskEnv
 from cdcsr.errors import CdcsrError
 from cdcsr.robot.description import load_robot
 from cdcsr.simulation.contract import Array

@@ -78,7 +78,7 @@ def test_failed_episodes_are_drawn_anew() -> None:
     env = TaskVectorEnv(
         4, max_steps=110, autoreset_mode="Disabled"
     )  # too short for about half the targets
-    episodes, failed = record(JacobianController(env.robot), env, num=6, seed=0)
+    episodes, failed, _ = record(JacobianController(env.robot), env, num=6, seed=0)
     assert failed > 0
     assert len(episodes) == 6
     assert all(e.observations[-1, 9] <= 0.03 and e.length <= 110 for e in episodes)

@@ -191,7 +191,7 @@ def test_eq_1_is_built_again_bit_for_bit_from_what_arrived() -> None:
 def test_each_batch_of_a_recording_has_targets_of_its_own() -> None:
     """All come from one stream, which is drawn again here."""
     env = TaskVectorEnv(2, frame_skip=5, autoreset_mode="Disabled")
-    episodes, failed = record(JacobianController(env.robot), env, num=5, seed=3)
+    episodes, failed, _ = record(JacobianController(env.robot), env, num=5, seed=3)
     env.close()
     assert failed == 0
     rng, space = np.random.default_rng(3), make_space("anchor", env.robot)

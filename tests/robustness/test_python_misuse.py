@@ -9,7 +9,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from cdcsr.envs.gym_env import TaskEnv, TaskVectorEnv
+from cdcsr.envs.gym_env import TaskVectorEnv
+from cdcsr.envs.single_env import TaskEnv
 from cdcsr.errors import CdcsrError
 from cdcsr.robot.description import load_robot
 from cdcsr.simulation.contract import Simulation

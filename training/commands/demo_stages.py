@@ -232,7 +232,8 @@ class Demo:
         draw_learning_curve([self._out / RUN], self._out / CURVE, references)
         results = {
             f"{titles[cell['controller']]} in {engine_title(cell['backend'])}": Result(
-                *(np.array(cell[name]) for name in ("success", "length", "distance", "targets"))
+                *(np.array(cell[name]) for name in ("success", "length", "distance", "targets")),
+                diverged=cell["diverged"],
             )
             for cell in cells
             if cell["controller"] in titles

@@ -52,7 +52,7 @@ def demonstrate(
         options = {"frame_skip": frame_skip, "task": task, "autoreset_mode": "Disabled"}
         env = TaskVectorEnv(episodes, robot, backend, space, start=start, **options)
         controller = JacobianController(env.robot)
-        recorded, failed = demonstrations.record(controller, env, episodes, seed)
+        recorded, failed, diverged = demonstrations.record(controller, env, episodes, seed)
         demonstrations.save(folder, recorded, env, controller.name, out.name)
         env.close()
     summary = {
@@ -64,6 +64,7 @@ def demonstrate(
         "start": env.start,
         "seed": seed,
         **_numbers(recorded, failed, frame_skip),
+        "diverged": diverged,
     }
     print(
         "{episodes} demonstrations of {robot} in {backend} "
@@ -71,6 +72,8 @@ def demonstrate(
         "{steps} steps, {length_mean:.1f} on average, {failed} failed and drawn anew -> {out}"
         "".format(**summary)
     )
+    if diverged:
+        print(f"{diverged} of the failed episodes diverged")
     if json is not None:
         write_json(json, summary)
 

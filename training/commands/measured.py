@@ -29,7 +29,12 @@ def report_cells(
     from cdcsr.files import refuse_unwritable, write_json
     from cdcsr.simulation.engines import chosen_backends
     from training.config.seeds import TEST_SEED
-    from training.measure.transfer_matrix import disagreements, format_table, other_targets
+    from training.measure.transfer_matrix import (
+        disagreements,
+        diverged,
+        format_table,
+        other_targets,
+    )
     from training.measure.transfer_matrix import transfer as measure
 
     def progress(cell: Cell) -> None:
@@ -44,7 +49,7 @@ def report_cells(
     )
     print(f"\n{task}, start {start}: {episodes} episodes in each cell, target seed {seed}\n")
     print(format_table(cells))
-    for sentence in other_targets(cells):
+    for sentence in (*other_targets(cells), *diverged(cells)):
         print(sentence)
     if json is not None:
         found = {

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from pathlib import Path
 
 
@@ -44,14 +45,17 @@ def workspace(
         if path is not None:
             refuse_unwritable(path)
     description = load_robot(robot)
-    counts = {"tried": 0, "reached": 0}
+    counts = {"tried": 0, "reached": 0, "diverged": 0}
+    start, end = ("\r", "") if sys.stdout.isatty() else ("", "\n")
 
-    def progress(tried: int, reached: int) -> None:
-        counts.update(tried=tried, reached=reached)
-        print(f"\r{tried} targets tried, {reached} reached", end="", flush=True)
+    def progress(tried: int, reached: int, diverged: int) -> None:
+        counts.update(tried=tried, reached=reached, diverged=diverged)
+        print(f"{start}{tried} targets tried, {reached} reached", end=end, flush=True)
 
     found = compute_workspace(description, backend, spacing, frame_skip, progress)
-    print()
+    print(end="" if end else "\n")
+    if counts["diverged"]:
+        print(f"{counts['diverged']} episodes diverged; their targets count as not reached")
     found.save(out)
     print(f"{len(found.cells)} cells of edge {spacing:g} m around {description.name} -> {out}")
     if plot is not None:

@@ -50,13 +50,17 @@ class Collector:
     """Run a batch of environments, one action each at a time.
 
     The robot filters out white noise at the control rate, so each draw of noise is held for
-    several actions. The environments draw at different times.
+    several actions. The environments draw at different times. An episode that diverges is dropped
+    and counted; its environment begins anew.
 
     Args:
         env: with autoreset mode SAME_STEP.
         noise: standard deviation on actions in [-1, 1]: a number, or one for each environment.
         hold: number of actions for which a draw is held.
         rng: draws the noise.
+
+    Attributes:
+        diverged: how many episodes were dropped.
     """
 
     def __init__(
@@ -70,7 +74,7 @@ class Collector:
         self._actions = np.zeros((num, limit, cables))
         self._rewards = np.zeros((num, limit))
         self._noise = np.zeros((num, cables))
-        self._count = 0
+        self._count = self.diverged = 0
         self._observation = np.zeros((num, size))
 
     def start(self, seed: int) -> None:
@@ -94,7 +98,9 @@ class Collector:
         command = actor.to_command(torch.as_tensor(action)).numpy()
         self._observation, reward, terminated, truncated, info = env.step(command)
         self._rewards[everyone, at] = reward
-        for i in np.flatnonzero(terminated | truncated):
+        lost = info.get("diverged", np.zeros(env.num_envs, dtype=bool))
+        self.diverged += int(lost.sum())
+        for i in np.flatnonzero((terminated | truncated) & ~lost):
             length = at[i] + 1
             self._observations[i, length] = info["final_obs"][i]
             yield FinishedEpisode(
@@ -114,6 +120,7 @@ class Collector:
             "rewards": self._rewards,
             "noise": self._noise,
             "count": np.array(self._count),
+            "diverged": np.array(self.diverged),
             "observation": self._observation,
         }
         return own | {f"{_ENVIRONMENT}{name}": rows for name, rows in self.env.get_state().items()}
@@ -127,4 +134,5 @@ class Collector:
         self._observations[:], self._actions[:] = arrays["observations"], arrays["actions"]
         self._rewards[:], self._noise[:] = arrays["rewards"], arrays["noise"]
         self._count = int(arrays["count"])
+        self.diverged = int(arrays.get("diverged", 0))  # older runs have no such number
         self._observation = arrays["observation"].astype(np.float64)

@@ -35,6 +35,7 @@ class Summary(TypedDict):
     length_mean: float
     length_std: float
     failed: list[int]
+    diverged: int
 
 
 @dataclass(frozen=True)
@@ -49,6 +50,8 @@ class Result:
     """From tip to target at the end, shape (N,), in [m]."""
     targets: Array
     """Where the targets were at the start, shape (N, 3), in [m]."""
+    diverged: int = 0
+    """The number of episodes that failed because the simulation diverged."""
 
     @property
     def rate(self) -> float:
@@ -71,6 +74,7 @@ class Result:
             "length_mean": float(self.length.mean()),
             "length_std": float(self.length.std()),
             "failed": np.flatnonzero(~self.success).tolist(),
+            "diverged": self.diverged,
         }
 
 
@@ -130,6 +134,7 @@ def evaluate(
         np.where(outcome.success, outcome.length * frame_skip, max_steps),
         outcome.distance,
         outcome.targets,
+        outcome.diverged,
     )
 
 

@@ -57,12 +57,15 @@ def follow(
         frame_skip: how many simulation steps each action is held for.
     """
     samples: list[Following] = []
+    lost = np.zeros(episodes, dtype=bool)
 
     def watch(action: int, info: Mapping[str, NDArray[np.float64]]) -> None:
+        np.logical_or(lost, info.get("diverged", False), out=lost)
         if action % KEEP_EVERY == 0:
             names = ("distance", "base_position_error", "base_attitude_error")
             for i, row in enumerate(np.stack([info[name] for name in names], axis=1).tolist()):
-                samples.append(Following(motion, i, action * frame_skip, *row))
+                if not lost[i]:
+                    samples.append(Following(motion, i, action * frame_skip, *row))
 
     env = TaskVectorEnv(
         episodes,
@@ -77,6 +80,8 @@ def follow(
     try:
         observation, _ = env.reset(seed=TEST_SEED)
         rollout(controller, env, observation, watch)
+        if lost.any():
+            print(f"{lost.sum()} of {episodes} episodes diverged in {backend} and end there")
         return samples
     finally:
         env.close()

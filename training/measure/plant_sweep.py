@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from itertools import pairwise
 from typing import NamedTuple
 
-from cdcsr.errors import CdcsrError, Diverged
+from cdcsr.errors import CdcsrError
 from cdcsr.robot.description import Robot
 from controllers.controller import Controller
 from training.config.seeds import TEST_SEED
@@ -39,7 +39,7 @@ class Point:
     result: Result | None
     """None if the engine could not simulate the plant, as a copy diverged."""
     diverged: str = ""
-    """The message of that error."""
+    """How many episodes diverged, as a text."""
     task: str = "reach"
 
     @property
@@ -162,21 +162,21 @@ def _measure(
     task: str,
     start: str,
 ) -> Point:
-    try:
-        plant = axis.plant(robot, level)
-        result = evaluate(
-            controller,
-            robot,
-            backend,
-            space,
-            episodes,
-            seed,
-            plant=plant,
-            task=task,
-            start=start,
-        )
-    except Diverged as error:
-        return Point(backend, space, axis, level, None, str(error).partition(";")[0], task)
+    plant = axis.plant(robot, level)
+    result = evaluate(
+        controller,
+        robot,
+        backend,
+        space,
+        episodes,
+        seed,
+        plant=plant,
+        task=task,
+        start=start,
+    )
+    if result.diverged:
+        what = f"{result.diverged} of {episodes} episodes diverged in {backend}"
+        return Point(backend, space, axis, level, None, what, task)
     return Point(backend, space, axis, level, result, task=task)
 
 

@@ -163,6 +163,16 @@ def other_targets(cells: Sequence[Cell]) -> list[str]:
     return list(found.values())
 
 
+def diverged(cells: Sequence[Cell]) -> list[str]:
+    """Return a sentence for each cell in which episodes diverged."""
+    return [
+        f"{cell.controller} in {cell.backend}, {cell.space}: {cell.result.diverged} of "
+        f"{len(cell.result.success)} episodes diverged and count as failures."
+        for cell in cells
+        if cell.result.diverged
+    ]
+
+
 def format_table(cells: Sequence[Cell]) -> str:
     """Return the matrix as a Markdown table, with a row for each controller and space."""
     backends = list(dict.fromkeys(cell.backend for cell in cells))

@@ -15,6 +15,7 @@ from tqdm import tqdm
 
 from backends.viewers.software import BACKGROUND, Renderer
 from cdcsr.envs.gym_env import TaskVectorEnv
+from cdcsr.errors import CdcsrError
 from cdcsr.files import write_bytes
 from cdcsr.robot.description import Robot
 from cdcsr.simulation.engines import engine_title
@@ -127,7 +128,7 @@ def draw_frames(
     total = sum(len(drawn) for episodes in rows for drawn in episodes)
     renderer = Renderer(robot)
     try:
-        with tqdm(total=total, desc="video", unit="picture") as bar:
+        with tqdm(total=total, desc="video", unit="picture", disable=None) as bar:
             for n, target in enumerate(targets):
                 columns: list[list[Picture]] = []
                 for recording, episodes in zip(recordings, rows, strict=True):
@@ -149,32 +150,45 @@ def draw_frames(
 
 
 def write_video(frames: Sequence[Picture], path: Path) -> None:
-    """Write frames as .mp4, or as .gif of half the size and rate."""
-    with tempfile.TemporaryDirectory() as folder:
-        file = Path(folder) / path.name
-        if path.suffix == ".gif":
-            height, width, _ = frames[0].shape
-            small = [
-                Image.fromarray(frame).resize((width // 2, height // 2)).quantize(64)
-                for frame in frames[::2]
-            ]
-            small[0].save(
-                file,
-                save_all=True,
-                append_images=small[1:],
-                duration=2000 // FRAMES_PER_SECOND,
-                loop=0,
-            )
-        else:
-            imageio.mimwrite(
-                file,
-                list(frames),
-                format="FFMPEG",
-                fps=FRAMES_PER_SECOND,
-                codec="libx264",
-                quality=7,
-            )  # type: ignore[arg-type]
-        write_bytes(path, file.read_bytes())
+    """Write frames as .mp4, or as .gif of half the size and rate.
+
+    Raises:
+        CdcsrError: the file, or a temporary one, cannot be written.
+    """
+    try:
+        with tempfile.TemporaryDirectory() as folder:
+            _encode(frames, file := Path(folder) / f"video{path.suffix}")
+            data = file.read_bytes()
+    except OSError as error:  # of the encoder too, whose own text has many lines
+        line = str(error).partition("\n")[0]
+        raise CdcsrError(f"Cannot write {path}: {error.strerror or line}.") from None
+    write_bytes(path, data)
+
+
+def _encode(frames: Sequence[Picture], file: Path) -> None:
+    """Write frames as a video of the format that the file's ending gives."""
+    if file.suffix == ".gif":
+        height, width, _ = frames[0].shape
+        small = [
+            Image.fromarray(frame).resize((width // 2, height // 2)).quantize(64)
+            for frame in frames[::2]
+        ]
+        small[0].save(
+            file,
+            save_all=True,
+            append_images=small[1:],
+            duration=2000 // FRAMES_PER_SECOND,
+            loop=0,
+        )
+    else:
+        imageio.mimwrite(
+            file,
+            list(frames),
+            format="FFMPEG",
+            fps=FRAMES_PER_SECOND,
+            codec="libx264",
+            quality=7,
+        )  # type: ignore[arg-type]
 
 
 def _picture(renderer: Renderer, robot: Robot, position: Array, target: Array) -> Picture:

@@ -13,6 +13,7 @@ from safetensors import SafetensorError, safe_open
 from safetensors.torch import save_file
 
 from cdcsr.errors import CdcsrError
+from cdcsr.files import replacing
 from training.algorithms.td3 import TD3, BackboneNumbers
 from training.experience.collector import Collector
 from training.experience.mixed_replay import MixedReplay
@@ -28,6 +29,8 @@ class Counters(TypedDict):
     minutes: float
     recent: list[int]
     """1 for each success of the last episodes, and 0 for each failure."""
+    diverged: int
+    """How many episodes were dropped so far because the simulation diverged."""
 
 
 class Parts(NamedTuple):
@@ -41,7 +44,11 @@ class Parts(NamedTuple):
 
 
 def save_state(path: Path, parts: Parts, counters: Counters) -> None:
-    """Write the state of a run; the file is complete or, if interrupted, still the one before."""
+    """Write the state of a run; the file is complete or, if interrupted, still the one before.
+
+    Raises:
+        CdcsrError: the file cannot be written.
+    """
     tensors: dict[str, torch.Tensor] = {"torch_generator": parts.torch_generator.get_state()}
     for name, module in _modules(parts.algorithm).items():
         tensors |= {f"{name}.{key}": value for key, value in module.state_dict().items()}
@@ -66,13 +73,12 @@ def save_state(path: Path, parts: Parts, counters: Counters) -> None:
         "updates": parts.algorithm.updates,
         "generators": {name: g.bit_generator.state for name, g in parts.generators.items()},
     }
-    temporary = path.with_name(f".{path.name}.new")
-    save_file(
-        {key: value.contiguous() for key, value in tensors.items()},
-        temporary,
-        {_META: json.dumps(meta)},
-    )
-    temporary.replace(path)
+    rows = {key: value.contiguous() for key, value in tensors.items()}
+    with replacing(path) as temporary:
+        try:
+            save_file(rows, temporary, {_META: json.dumps(meta)})
+        except SafetensorError as error:  # the library's own word for an OSError
+            raise OSError(str(error)) from None
 
 
 def load_state(path: Path, parts: Parts) -> Counters:

@@ -4,11 +4,14 @@ from __future__ import annotations
 
 import csv
 import io
+import os
+import socket
 import time
+from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from cdcsr.errors import CdcsrError
+from cdcsr.errors import CdcsrError, cannot_write
 from cdcsr.files import write_text
 
 if TYPE_CHECKING:
@@ -27,43 +30,75 @@ COLUMNS: tuple[str, ...] = (
     "actor_loss",
     "value",
     "updates_per_second",
+    "diverged",
 )
 
 
 class Metrics:
-    """Appends one row at a time, in a CSV file and as TensorBoard events.
+    """Adds one row at a time to a CSV file, which is always complete, and to TensorBoard events.
 
     Args:
         folder: of the run.
         after: when resuming, rows of later updates than this are dropped: they will come again.
+
+    Raises:
+        CdcsrError: a file cannot be written.
     """
 
     def __init__(self, folder: Path, after: int) -> None:
-        from torch.utils.tensorboard import (
-            SummaryWriter,  # here, so that reading metrics needs no torch
-        )
-
         self._path = folder / "metrics.csv"
         kept = [row for row in _rows(self._path) if float(row["update"]) <= after] if after else []
-        text = io.StringIO(newline="")
-        writer = csv.DictWriter(text, COLUMNS)
-        writer.writeheader()
-        writer.writerows(kept)
-        write_text(self._path, text.getvalue())
-        self._board = SummaryWriter(
-            str(folder / "tensorboard"), purge_step=after + 1 if after else None
-        )
+        self._text = io.StringIO(newline="")
+        self._writer = csv.DictWriter(self._text, COLUMNS)
+        self._writer.writeheader()
+        self._writer.writerows(kept)
+        write_text(self._path, self._text.getvalue())
+        self._board = _Events(folder / "tensorboard", after)
 
     def add(self, row: dict[str, float]) -> None:
         """Write a row; a column that is missing stays empty."""
-        with self._path.open("a", newline="", encoding="utf-8") as file:
-            csv.DictWriter(file, COLUMNS).writerow(row)
-        for name, value in row.items():
-            if name != "update":
-                self._board.add_scalar(name, value, int(row["update"]))
+        self._writer.writerow(row)
+        write_text(self._path, self._text.getvalue())
+        step = int(row["update"])
+        self._board.add(step, {name: value for name, value in row.items() if name != "update"})
 
-    def close(self) -> None:
-        self._board.close()
+
+class _Events:
+    """TensorBoard events, written in this thread: its own writer prints tracebacks in another one.
+
+    Args:
+        folder: where the file of events is made.
+        after: events of later updates than this, in older files, do not count; 0 for a new run.
+    """
+
+    def __init__(self, folder: Path, after: int) -> None:
+        # Here, so that reading metrics needs no TensorBoard; by name, as it has no types.
+        self._events = import_module("tensorboard.compat.proto.event_pb2")
+        self._summaries = import_module("tensorboard.compat.proto.summary_pb2")
+        name = f"events.out.tfevents.{time.time():.0f}.{socket.gethostname()}.{os.getpid()}"
+        self._path = folder / name
+        self._write(file_version="brain.Event:2")
+        if after:
+            begun = self._events.SessionLog(status=self._events.SessionLog.START)
+            self._write(step=after + 1, session_log=begun)
+
+    def add(self, step: int, values: dict[str, float]) -> None:
+        """Write numbers by their names."""
+        summary = self._summaries.Summary()
+        for tag, value in values.items():
+            summary.value.add(tag=tag, simple_value=value)
+        self._write(step=step, summary=summary)
+
+    def _write(self, **fields: object) -> None:
+        from tensorboard.summary.writer.record_writer import RecordWriter
+
+        event = self._events.Event(wall_time=time.time(), **fields)
+        try:
+            self._path.parent.mkdir(exist_ok=True)
+            with self._path.open("ab") as file:
+                RecordWriter(file).write(event.SerializeToString())
+        except OSError as error:
+            raise cannot_write(self._path, error) from None
 
 
 def read_metrics(path: Path) -> list[dict[str, float]]:

@@ -110,7 +110,11 @@ class Run:
         metrics, meter, stopped = Metrics(self.folder, done_before), Meter(), False
         update = done_before
         with tqdm(
-            total=learner.updates, initial=done_before, desc=config.algorithm, unit="update"
+            total=learner.updates,
+            initial=done_before,
+            desc=config.algorithm,
+            unit="update",
+            disable=None,  # off where no terminal shows it
         ) as bar:
             while update < learner.updates and not stopped:
                 update += 1
@@ -136,11 +140,11 @@ class Run:
                         "environment_steps": _environment_steps(learner, update),
                         "minutes": self._minutes(),
                         "recent": [int(success) for success in recent],
+                        "diverged": collector.diverged,
                     }
                     metrics.add(self._measure(algorithm.policy, counters, meter))
                     if not done:
                         save_state(state, parts, counters)
-        metrics.close()
         env.close()
         if stopped:
             print(f"Stopped after update {update}; the same options go on from here.")
@@ -218,11 +222,13 @@ class Run:
         names = ("success_rate", "success_low", "success_high", "length_mean")
         row = {name: summary[name] for name in names}
         row |= {name: counters[name] for name in ("update", "environment_steps", "minutes")}
+        row["diverged"] = counters["diverged"]
         if counters["recent"]:
             row["train_success"] = float(np.mean(counters["recent"]))
         tqdm.write(
             f"update {counters['update']:>6}  {counters['minutes']:6.1f} min  "
             f"success {summary['success_rate']:.2f}  length {summary['length_mean']:5.1f}"
+            + (f"  diverged {counters['diverged']}" if counters["diverged"] else "")
         )
         return row | meter.take()
 
@@ -262,7 +268,7 @@ def _environment_steps(learner: BackboneNumbers, updates: int) -> int:
 @contextmanager
 def _bar(what: str, updates: int) -> Iterator[Progress]:
     """Show the progress of imitation."""
-    with tqdm(total=updates, desc=what, unit="update") as bar:
+    with tqdm(total=updates, desc=what, unit="update", disable=None) as bar:
 
         def progress(update: int, loss: float) -> None:
             bar.update(update - bar.n)

@@ -25,6 +25,7 @@ from cdcsr.files import read_json, write_text
 from training.study.parquet import DECIMALS, Columns, read_table, write_table
 
 Convert = Callable[[str], object]
+_Table = Mapping[str, Sequence[object] | NDArray[np.generic]]
 
 RECORDS, RECORD = "runs.jsonl", "run.json"
 METRICS, FOLLOW = "metrics", "follow"
@@ -153,7 +154,7 @@ def write_store(folder: Path, runs: Mapping[str, StoredRun]) -> None:
     ]
     for file, parts in (
         ("episodes", episodes),
-        (METRICS, [_of(name, runs[name].metrics) for name in names if runs[name].metrics]),
+        (METRICS, _with_all_columns([_of(n, runs[n].metrics) for n in names if runs[n].metrics])),
         (
             "following",
             [_of(name, follow) for name in names if (follow := runs[name].follow) is not None],
@@ -164,9 +165,15 @@ def write_store(folder: Path, runs: Mapping[str, StoredRun]) -> None:
     write_text(folder / RECORDS, "\n".join(lines) + "\n")  # last: it makes the folder a store
 
 
-def _of(
-    name: str, columns: Columns, key: str = "run"
-) -> Mapping[str, Sequence[object] | NDArray[np.generic]]:
+def _with_all_columns(parts: Sequence[_Table]) -> list[_Table]:
+    """Return tables with the columns of all of them; older runs lack some, whose cells are NaN."""
+    columns = {name: None for part in parts for name in part}
+    return [
+        {name: part.get(name, [np.nan] * len(part["run"])) for name in columns} for part in parts
+    ]
+
+
+def _of(name: str, columns: Columns, key: str = "run") -> _Table:
     return {key: [name] * len(next(iter(columns.values()))), **columns}
 
 

@@ -14,8 +14,9 @@ from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.wrappers.vector import DictInfoToList
 
 from cdcsr.envs.disturbances import Disturbances
-from cdcsr.envs.gym_env import Info, TaskEnv, TaskVectorEnv
+from cdcsr.envs.gym_env import Info, TaskVectorEnv
 from cdcsr.envs.options import EnvOptions
+from cdcsr.envs.single_env import TaskEnv
 from cdcsr.errors import CdcsrError
 from cdcsr.robot.description import load_robot, shipped_robots
 from cdcsr.simulation.contract import Array

@@ -7,9 +7,10 @@ import numpy as np
 import pytest
 
 from cdcsr.envs.disturbances import Disturbances
-from cdcsr.envs.gym_env import Info, TaskEnv, TaskVectorEnv
+from cdcsr.envs.gym_env import Info, TaskVectorEnv
 from cdcsr.envs.options import EnvOptions
 from cdcsr.envs.rng_state import pack_generator, unpack_generator
+from cdcsr.envs.single_env import TaskEnv
 from cdcsr.errors import CdcsrError
 from cdcsr.simulation.contract import Array
 from cdcsr.simulation.engines import backend_names

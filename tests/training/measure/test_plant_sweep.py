@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import csv
 import json
+from dataclasses import replace
 from math import sqrt
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from cdcsr.errors import CdcsrError, Diverged
+from cdcsr.errors import CdcsrError
 from cdcsr.robot.description import Robot
 from tests.support.controllers import Still
 from training.commands.sweep import sweep as command
@@ -48,7 +49,7 @@ def _scripted(monkeypatch: pytest.MonkeyPatch, rates: dict[float, float | None])
         asked.append(level)
         rate = rates[level]
         if rate is None:
-            raise Diverged("mujoco", 3, 0.1, "a speed of 1e9")
+            return replace(_result([True] * 10), diverged=3)
         return _result([i < 10 * rate for i in range(10)])
 
     monkeypatch.setattr(sweeps, "evaluate", measured)
@@ -69,7 +70,7 @@ def test_a_sweep_goes_outwards_until_success_halves(
     assert (down.level, down.text) == (None, "diverges at 0.25")
     assert [row.level for row in points[1].rows] == [2.0] * 10
     assert points[-1].rows == []
-    assert points[-1].diverged.startswith("mujoco: copy 3 diverged")
+    assert points[-1].diverged == "3 of 10 episodes diverged in mujoco"
     assert points[-1].as_dict()["diverged"] == points[-1].diverged
 
 

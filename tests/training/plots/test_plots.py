@@ -43,7 +43,6 @@ def run(tmp_path: Path) -> Path:
                 "success_high": high,
             }
         )
-    metrics.close()
     return folder
 
 

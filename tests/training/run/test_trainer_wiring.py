@@ -168,7 +168,7 @@ def test_rows_after_the_checkpoint_go_and_those_before_stay_as_they_are(
 ) -> None:
     path = tmp_path / "metrics.csv"
     head = ",".join(COLUMNS)
-    rows = ["20,80,0.1,,0.25,,,,,,,", "40,160,0.2,,0.5,,,,,,,", "60,240,0.3,,0.75,,,,,,,"]
+    rows = ["20,80,0.1,,0.25,,,,,,,,", "40,160,0.2,,0.5,,,,,,,,", "60,240,0.3,,0.75,,,,,,,,"]
     path.write_text("\n".join([head, *rows]) + "\n")
 
     def killed(*_: object) -> None:
@@ -179,7 +179,7 @@ def test_rows_after_the_checkpoint_go_and_those_before_stay_as_they_are(
         with pytest.raises(KeyboardInterrupt):
             Metrics(tmp_path, after=40)
     assert [row["update"] for row in read_metrics(path)] == [20, 40, 60]  # nothing is lost
-    Metrics(tmp_path, after=40).close()
+    Metrics(tmp_path, after=40)
     assert path.read_text().split() == [head, *rows[:2]]
 
 

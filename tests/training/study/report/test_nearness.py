@@ -29,7 +29,7 @@ ROBOT = load_robot("paper")
 def test_distances_are_those_of_the_targets_that_are_measured_on(space: str, task: str) -> None:
     """The targets are those of a recording, and those that an environment draws."""
     with_ten = TaskVectorEnv(10, ROBOT, "mujoco", "anchor", autoreset_mode="Disabled")
-    episodes, _ = record(JacobianController(ROBOT), with_ten, 10, seed=0)
+    episodes, *_ = record(JacobianController(ROBOT), with_ten, 10, seed=0)
     shown = np.array([episode.target for episode in episodes])
     env = TaskVectorEnv(
         40, ROBOT, "mujoco", space, task=task, centers=shown, autoreset_mode="Disabled"
