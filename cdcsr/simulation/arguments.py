@@ -72,7 +72,10 @@ def as_command(command: ArrayLike, shape: tuple[int, ...]) -> Array:
     Raises:
         CdcsrError: they have another shape, are not finite, or are larger than any engine takes.
     """
-    rows = as_floats("Commands", command, shape, finite=False)
+    if isinstance(command, np.ndarray) and command.dtype == np.float64 and command.shape == shape:
+        rows = command  # so in nearly all steps, which should not pay for the whole check
+    else:
+        rows = as_floats("Commands", command, shape, finite=False)
     # NaN, which some engines read as no command, is not below.
     if not np.abs(rows).max(initial=0) <= _LARGEST_COMMAND:
         good = (np.abs(rows) <= _LARGEST_COMMAND).all(axis=1)
