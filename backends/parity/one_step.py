@@ -65,10 +65,15 @@ class OneStep:
     """The norms of the differences by quantity, shape (M,)."""
     sizes: dict[str, Array]
     """The norms of the quantities themselves in the reference engine, shape (M,)."""
+    soft: bool = False
+    """Whether cables stretch in one of the engines, so that one step already differs much."""
 
     def checks(self) -> list[Check]:
-        """Return a check for each quantity and percentile that has a tolerance."""
+        """Return a check for each quantity and percentile that has a tolerance; none for engines
+        with soft cables."""
         checks = []
+        if self.soft:
+            return checks
         for q in QUANTITIES:
             size = float(np.percentile(self.sizes[q.name], 95))
             for percentile, tolerance in q.tolerances.items():
@@ -142,6 +147,7 @@ def one_step(
     reference, num = reference_of(engines), len(commands.values)
     states = states_along(robot, engines, commands)
     simulations = {name: make(robot, num) for name, make in engines.items()}
+    soft = {name for name, each in simulations.items() if "soft_cables" in each.capabilities}
     after: dict[str, dict[str, list[Array]]] = {
         name: {q.name: [] for q in QUANTITIES} for name in engines
     }
@@ -166,6 +172,7 @@ def one_step(
             f"{name} - {reference}",
             {q: np.linalg.norm(found[name][q] - found[reference][q], axis=1) for q in sizes},
             sizes,
+            soft=not soft.isdisjoint({name, reference}),
         )
         for name in engines
         if name != reference

@@ -145,6 +145,16 @@ def test_an_engine_differs_from_itself_by_nothing(paper: Robot) -> None:
         np.testing.assert_array_equal(difference, np.zeros(20))
 
 
+def test_soft_cables_are_reported_and_not_judged(paper: Robot) -> None:
+    """Stock tendon limits stretch, so the median tension differs by more than its tolerance."""
+    commands = random_commands(paper, 2, seed=0, steps=60)
+    engines = {name: engine_factory(name) for name in ("mujoco", "mujoco-stock")}
+    (found,) = one_step(paper, engines, commands)
+    assert found.checks() == []
+    judged = dataclasses.replace(found, soft=False).checks()
+    assert "tension, median" in [check.name for check in judged if not check.passed]
+
+
 def test_states_after_the_end_of_an_episode_are_left_out(paper: Robot) -> None:
     commands = Commands(
         "short", random_commands(paper, 2, seed=0, steps=10).values, np.array([3, 10])
