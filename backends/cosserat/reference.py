@@ -47,7 +47,7 @@ class Shapes:
     tip: Array
     """Torque in [N m] and force in [N] at the tip, shape (n, 6)."""
     place: Array
-    """Of the middle and the tip, from the clamp, shape (n, 2, 3), in [m]."""
+    """Places of the middle and the tip, from the clamp, shape (n, 2, 3), in [m]."""
 
 
 def rod(material: str, links: int, damping_time: float = 0.004, time_step: float = 1e-3) -> Robot:

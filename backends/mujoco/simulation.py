@@ -49,7 +49,7 @@ class BatchSimulation(Simulation):
 
     version = mujoco.__version__
     cables_type: ClassVar[type[Cables | Limits]]
-    """What holds the cables of a batch."""
+    """The class that holds the cables of a batch."""
 
     def __init__(
         self,

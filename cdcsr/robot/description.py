@@ -201,7 +201,7 @@ class Robot(Part):
 
     @property
     def beyond_first_version(self) -> str:
-        """What this robot has that not every engine can simulate, in words; empty if nothing."""
+        """Features of this robot that not every engine can simulate; empty if there are none."""
         joints = {joint.order + "z" * (joint.torsion is not None) for _, joint in self.links}
         base, origin = self.base, Base.model_fields
         found = {

@@ -95,9 +95,9 @@ class Joint(Part):
 
     later = ("order", "torsion")
     stiffness: NonNegative
-    """Of each bending hinge, in [N m/rad]; the rest angle is zero."""
+    """Stiffness of each bending hinge, in [N m/rad]; the rest angle is zero."""
     damping: NonNegative
-    """Of each bending hinge, in [N m s/rad]."""
+    """Damping of each bending hinge, in [N m s/rad]."""
     limit: Angle
     """Largest angle of a bending hinge to either side in [rad]."""
     order: Literal["xy", "yx"] = "xy"
@@ -144,7 +144,7 @@ class Backbone(Part):
     """
 
     length: Positive
-    """Of the whole segment, in [m]."""
+    """Length of the whole segment, in [m]."""
     youngs_modulus: Positive
     """In [Pa]."""
     poissons_ratio: Annotated[float, Field(gt=-1, le=0.5)]

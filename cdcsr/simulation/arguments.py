@@ -21,8 +21,11 @@ def check_count(name: str, found: object, most: int, least: int = 1) -> None:
     Raises:
         CdcsrError: it is not.
     """
-    whole = isinstance(found, int | np.integer) and not isinstance(found, bool)
-    if not whole or not least <= found <= most:  # type: ignore[operator]
+    if (
+        isinstance(found, bool)
+        or not isinstance(found, int | np.integer)
+        or (not least <= found <= most)
+    ):
         raise CdcsrError(f"{name} must be a whole number from {least} to {most}, not {found!r}.")
 
 

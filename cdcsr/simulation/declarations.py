@@ -1,4 +1,4 @@
-"""What an engine declares: its abilities, its options, and what in it is its own."""
+"""Declarations of an engine: its abilities, its options, and what in it is its own."""
 
 from __future__ import annotations
 
@@ -35,10 +35,10 @@ class Physics:
     integration: str = _UNKNOWN
     """From accelerations to the next state."""
     cables: str = _UNKNOWN
-    """What keeps cables from getting longer than at rest."""
+    """How cables are kept from getting longer than at rest."""
     limits: str = _UNKNOWN
-    """What stops a hinge at its limit."""
+    """How a hinge is stopped at its limit."""
     servos: str = _UNKNOWN
-    """What pulls a slider to its set-point."""
+    """How a slider is pulled to its set-point."""
     damping: str = _UNKNOWN
     """How the dampers of hinges and sliders enter a step."""

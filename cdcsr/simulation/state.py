@@ -1,4 +1,4 @@
-"""What an engine tells of its copies: their state, their equation of motion, a snapshot.
+"""State of the copies of a robot, their equation of motion, and snapshots.
 
 The first axis of every array is the copy; :mod:`cdcsr.simulation.contract` says the order of
 coordinates and what C, J, H and nv are.
@@ -37,9 +37,9 @@ class State:
     cable_tension: Array
     """The tension in the last step, never negative, shape (num, C), in [N]."""
     joint_angles: Array
-    """Of the hinges, shape (num, H), in [rad]."""
+    """Angles of the hinges, shape (num, H), in [rad]."""
     joint_rates: Array
-    """Of the hinges, shape (num, H), in [rad/s]."""
+    """Rates of the hinges, shape (num, H), in [rad/s]."""
 
 
 @dataclass(frozen=True)

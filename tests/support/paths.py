@@ -1,4 +1,4 @@
-"""What lies in a folder, and the lock of a process that is dead."""
+"""List a folder, and make the lock of a process that is dead."""
 
 from __future__ import annotations
 

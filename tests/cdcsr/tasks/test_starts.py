@@ -117,7 +117,8 @@ def test_a_drift_is_not_felt(monkeypatch: pytest.MonkeyPatch, options: dict[str,
             state = env.simulation.state()
             drifted = env.drift * state.time[:, None]
             rows.append((info["distance"], state.tip_position - drifted, env.targets - drifted))
-        found.append(tuple(np.array(column) for column in zip(*rows, strict=True)))  # type: ignore[arg-type]
+        distances, tips, targets = (np.array(column) for column in zip(*rows, strict=True))
+        found.append((distances, tips, targets))
         env.close()
     for still, moving in zip(*found, strict=True):
         np.testing.assert_allclose(moving, still, rtol=0, atol=1e-11)

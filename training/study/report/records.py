@@ -99,7 +99,7 @@ class Run:
 
     name: str
     setting: RunDescription
-    """What all seeds share; its `demonstration_seed` is 1 if each has demonstrations of its own."""
+    """The description that all seeds share; `demonstration_seed` is 1 if each has its own ones."""
     seed: int | None
     budget: str | None
     """Name of the amounts it was run with, if it tells."""
