@@ -272,7 +272,7 @@ class Simulation(ABC):
         )
         plant = self.plant if changed else None
         parts = type(self), self.robot, self.num, self.options, plant, self._line, self.loads
-        return _rebuild, (*parts, self._get_snapshot())
+        return rebuild, (*parts, self._get_snapshot())
 
     # What an engine implements. Arguments are checked, commands already delayed, copies in order.
 
@@ -328,11 +328,11 @@ class Simulation(ABC):
         return chosen_copies(ids, self.num)
 
 
-def _rebuild(
+def rebuild(
     kind: type[Simulation],
     robot: Robot,
     num: int,
-    options: EngineOptions,
+    options: EngineOptions | None,
     plant: Plant | None,
     line: DelayLine,
     loads: Loads,

@@ -1,7 +1,8 @@
 """Find engines by name: each is an entry point in the group `cdcsr.backends`.
 
 A user may add options to a name wherever one is asked for, `pybullet:substeps=4` for example;
-:attr:`cdcsr.simulation.contract.Simulation.options_type` declares those of an engine.
+:attr:`cdcsr.simulation.contract.Simulation.options_type` declares those of an engine. Names joined
+by "+", `mujoco+pybullet` for example, mean one simulation whose copies are in several engines.
 """
 
 from __future__ import annotations
@@ -17,11 +18,15 @@ from pydantic import ValidationError
 from cdcsr.errors import CdcsrError, unknown_choice
 from cdcsr.robot.description import Robot
 from cdcsr.simulation.contract import EngineOptions, Simulation
+from cdcsr.simulation.mixed import mixed_engine
 
 _GROUP = "cdcsr.backends"
 _FORMER = {"pybullet-former": "PyBullet (former kernel)"}
 """Titles of engines that are gone; stored results still name them. In this one the project's own
 kernel found the accelerations, and Bullet was given the forces that reproduce them."""
+
+_mixed: dict[str, type[Simulation]] = {}
+"""Classes of simulations in several engines, by name: each name has one class."""
 
 
 @cache
@@ -47,12 +52,19 @@ def load_backend(name: str) -> type[Simulation]:
     Raises:
         CdcsrError: no engine of that name is installed, or an option is wrong.
     """
-    backend, _ = _backend_with_options(name)
-    return backend
+    if "+" not in name:
+        return _backend_with_options(name)[0]
+    if name not in _mixed:
+        parts = name.split("+")
+        kinds, factories = map(load_backend, parts), map(engine_factory, parts)
+        _mixed[name] = mixed_engine(name, list(kinds), list(factories))
+    return _mixed[name]
 
 
 def engine_title(name: str) -> str:
     """Return an engine's title, or the name itself if no such engine was ever known."""
+    if "+" in name:
+        return " and ".join(engine_title(part) for part in name.split("+"))
     bare, _, options = name.partition(":")
     if bare not in backend_names():
         return _FORMER.get(name, name)
@@ -63,9 +75,15 @@ def chosen_backends(name: str) -> list[str]:
     """Return the names of the engines that a user means by a name, or by "all".
 
     Raises:
-        CdcsrError: no engine of that name is installed, or an option is wrong.
+        CdcsrError: no engine of that name is installed, an option is wrong, or the name joins
+            several engines.
     """
     installed = backend_names()
+    if "+" in name:
+        raise CdcsrError(
+            f"Only training and demonstrations take several engines side by side; found {name!r}. "
+            "Choose one engine, or all."
+        )
     bare = name.partition(":")[0]
     if bare not in [*installed, "all"]:
         raise CdcsrError(unknown_choice("backend", bare, [*installed, "all"]))
@@ -81,12 +99,16 @@ def engine_factory(name: str) -> Callable[[Robot, int], Simulation]:
     Raises:
         CdcsrError: no engine of that name is installed, or an option is wrong.
     """
+    if "+" in name:
+        return load_backend(name)
     kind, options = _backend_with_options(name)
     return lambda robot, num: kind(robot, num, options)
 
 
 def switched_off(name: str) -> list[str]:
     """Return an engine's name with one of its own settings set to the description's, for each."""
+    if "+" in name:
+        return []
     bare, _, listed = name.partition(":")
     given = dict(pair.split("=") for pair in listed.split(",") if pair)
     names = []

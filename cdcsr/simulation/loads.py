@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import copy
+
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
@@ -59,6 +61,14 @@ class Loads:
         self.force[ids, link, slot], self.torque[ids, link, slot] = values
         self.point[ids, link, slot] = offset
         self.active = bool(self.force.any() or self.torque.any())
+
+    def of_copies(self, ids: NDArray[np.int64]) -> Loads:
+        """Return the loads of some copies alone."""
+        chosen = copy.copy(self)
+        chosen.force, chosen.torque, chosen.point = (
+            array[ids] for array in (self.force, self.torque, self.point)
+        )
+        return chosen
 
     def at_centers(self, turn: Array) -> tuple[Array, Array]:
         """Return the forces and torques that act alike at the links' centres of mass.

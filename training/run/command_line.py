@@ -67,7 +67,7 @@ Train a policy. To resume an interrupted run, give the same command again.
   --algorithm NAME        what learns; one of
 {fill(", ".join(ALGORITHMS), 72, initial_indent=" " * 26, subsequent_indent=" " * 26)}
   --preset NAME           tuned (default) or paper-reading: where the learner's numbers come from
-  --backend ENGINE        the engine to train in (mujoco)
+  --backend ENGINE        the engine to train in, or several joined by + (mujoco)
   --robot ROBOT           a shipped robot, or a path that ends in .toml (paper)
   --space SPACE           where targets lie: anchor (default), floating, spatter, workspace, a map
   --task TASK             reach (default), precise, quiet, capture, follow-line, ...

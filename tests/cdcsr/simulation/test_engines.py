@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 import cdcsr.simulation.engines as engines
@@ -89,3 +90,47 @@ def test_a_wrong_option_is_one_clear_line(name: str, message: str) -> None:
     for find in (engines.load_backend, lambda text: engines.chosen_backends(text)):
         with pytest.raises(CdcsrError, match=message):
             find(name)
+
+
+def test_copies_in_several_engines_move_as_each_engine_alone(paper: Robot) -> None:
+    names = ["mujoco", "mujoco-stock:softness=description", "pybullet"]
+    mixed = engines.make_simulation(paper, "+".join(names), 5)
+    owners = [names[copy % 3] for copy in range(5)]
+    alone = [engines.make_simulation(paper, name) for name in owners]
+    commands = np.random.default_rng(3).uniform(-0.1, 0, (6, 5, paper.num_cables))
+    for command in commands:
+        mixed.step(command, 10)
+        for own, row in zip(alone, command, strict=True):
+            own.step(row[None], 10)
+    tips = [simulation.state().tip_position[0] for simulation in alone]
+    assert (mixed.state().tip_position == tips).all()
+    mass = [simulation.dynamics().mass_matrix[0] for simulation in alone]
+    chosen = mixed.dynamics([1, 3, 4]).mass_matrix
+    assert (chosen == [mass[1], mass[3], mass[4]]).all()
+    assert "soft_cables" in mixed.capabilities
+    assert not mixed.ideal
+    for simulation in (mixed, *alone):
+        simulation.close()
+
+
+@pytest.mark.parametrize(
+    ("name", "message"),
+    [
+        ("mujoco+", "Unknown backend ''"),
+        ("mujoco+pibullet", "Did you mean 'pybullet'"),
+        ("mujoco+pybullet:substeps=0", "option substeps"),
+        ("mujoco+all", "Unknown backend 'all'"),
+    ],
+)
+def test_a_wrong_name_among_several_is_one_clear_line(name: str, message: str) -> None:
+    with pytest.raises(CdcsrError, match=message):
+        engines.load_backend(name)
+
+
+def test_commands_that_compare_engines_take_one_at_a_time() -> None:
+    with pytest.raises(CdcsrError, match="Choose one engine, or all"):
+        engines.chosen_backends("mujoco+pybullet")
+
+
+def test_the_title_of_several_engines_names_each() -> None:
+    assert engine_title("mujoco+pybullet:substeps=4") == "MuJoCo and PyBullet (substeps=4)"
