@@ -25,9 +25,6 @@ _FORMER = {"pybullet-former": "PyBullet (former kernel)"}
 """Titles of engines that are gone; stored results still name them. In this one the project's own
 kernel found the accelerations, and Bullet was given the forces that reproduce them."""
 
-_mixed: dict[str, type[Simulation]] = {}
-"""Classes of simulations in several engines, by name: each name has one class."""
-
 
 @cache
 def _installed(path: tuple[str, ...]) -> dict[str, EntryPoint]:  # noqa: ARG001 (the cache's key)
@@ -54,11 +51,7 @@ def load_backend(name: str) -> type[Simulation]:
     """
     if "+" not in name:
         return _backend_with_options(name)[0]
-    if name not in _mixed:
-        parts = name.split("+")
-        kinds, factories = map(load_backend, parts), map(engine_factory, parts)
-        _mixed[name] = mixed_engine(name, list(kinds), list(factories))
-    return _mixed[name]
+    return mixed_engine(name, [_backend_with_options(part) for part in name.split("+")])
 
 
 def engine_title(name: str) -> str:

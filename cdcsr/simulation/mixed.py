@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import fields, replace
 from typing import ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
 
-from cdcsr.errors import CdcsrError, Diverged
+from cdcsr.errors import Diverged
 from cdcsr.robot.description import Robot
 from cdcsr.simulation.contract import EngineOptions, Simulation, rebuild
 from cdcsr.simulation.delay_line import DelayLine
@@ -17,7 +17,7 @@ from cdcsr.simulation.loads import Loads
 from cdcsr.simulation.plant import Plant
 from cdcsr.simulation.state import Array, Dynamics, Snapshot, State
 
-Factory = Callable[[Robot, int], Simulation]
+Part = tuple[type[Simulation], EngineOptions]
 Rows = NDArray[np.int64]
 
 
@@ -31,14 +31,16 @@ class MixedSimulation(Simulation):
         CdcsrError: one of the engines cannot simulate the robot.
     """
 
-    factories: ClassVar[Sequence[Factory]]
+    parts: ClassVar[Sequence[Part]]
+    """The engines, each with its options."""
 
     def __init__(self, robot: Robot, num: int = 1, options: EngineOptions | None = None) -> None:
         super().__init__(robot, num, options)
-        kinds = len(self.factories)
+        kinds = len(self.parts)
         self._rows = [np.arange(k, num, kinds) for k in range(min(kinds, num))]
         self._parts = [
-            make(robot, len(rows)) for make, rows in zip(self.factories, self._rows, strict=False)
+            kind(robot, len(rows), options)
+            for (kind, options), rows in zip(self.parts, self._rows, strict=False)
         ]
 
     @property
@@ -47,12 +49,12 @@ class MixedSimulation(Simulation):
 
     def __reduce__(self) -> tuple[object, ...]:
         self._check_open()
-        loads, snapshot = self.loads, self._get_snapshot()
-        return _rebuild_by_name, (self.engine, self.robot, self.plant, self._line, loads, snapshot)
+        described = self.engine, self.parts, self.robot, self.plant, self._line, self.loads
+        return _rebuild, (*described, self._get_snapshot())
 
     def _of_parts(self, ids: Rows) -> list[tuple[Simulation, Rows, Rows]]:
         """Return each engine with some of `ids`, their numbers in it, and their places in `ids`."""
-        kinds = len(self.factories)
+        kinds = len(self.parts)
         places = [np.flatnonzero(ids % kinds == k) for k in range(len(self._parts))]
         found = zip(self._parts, places, strict=True)
         return [(part, ids[at] // kinds, at) for part, at in found if len(at)]
@@ -89,7 +91,7 @@ class MixedSimulation(Simulation):
         )
 
     def _render(self, index: int, camera: str) -> NDArray[np.uint8]:
-        kinds = len(self.factories)
+        kinds = len(self.parts)
         return self._parts[index % kinds]._render(index // kinds, camera)
 
     def _close(self) -> None:
@@ -155,41 +157,43 @@ class MixedSimulation(Simulation):
         return joined
 
 
-def _rebuild_by_name(
-    name: str, robot: Robot, plant: Plant, line: DelayLine, loads: Loads, snapshot: Snapshot
+_made: dict[str, type[MixedSimulation]] = {}
+"""The classes by name, so that each name has one."""
+
+
+def _rebuild(
+    name: str,
+    parts: Sequence[Part],
+    robot: Robot,
+    plant: Plant,
+    line: DelayLine,
+    loads: Loads,
+    snapshot: Snapshot,
 ) -> Simulation:
     """Make the copy of a simulation, for `copy` and `pickle`; a made class cannot be pickled."""
-    from cdcsr.simulation.engines import load_backend
-
-    return rebuild(
-        load_backend(name), robot, len(snapshot.time), None, plant, line, loads, snapshot
-    )
+    kind, num = mixed_engine(name, parts), len(snapshot.time)
+    return rebuild(kind, robot, num, None, plant, line, loads, snapshot)
 
 
-def mixed_engine(
-    name: str, kinds: Sequence[type[Simulation]], factories: Sequence[Factory]
-) -> type[MixedSimulation]:
+def mixed_engine(name: str, parts: Sequence[Part]) -> type[MixedSimulation]:
     """Return the class of a simulation in several engines.
 
     Args:
         name: the engines' names with their options, joined by "+".
-        kinds: their classes.
-        factories: what makes a simulation in each.
-
-    Raises:
-        CdcsrError: there are fewer than two engines.
+        parts: the engines, each with its options.
     """
-    if len(kinds) < 2:
-        raise CdcsrError(f"Name at least two engines, as in mujoco+pybullet; found {name!r}.")
-    abilities = frozenset.intersection(*(kind.capabilities for kind in kinds))
-    if any("soft_cables" in kind.capabilities for kind in kinds):
-        abilities |= {"soft_cables"}
-    described = {
-        "__doc__": MixedSimulation.__doc__,
-        "engine": name,
-        "title": " + ".join(kind.title for kind in kinds),
-        "capabilities": abilities,
-        "version": ", ".join(f"{kind.engine} {kind.version}" for kind in kinds),
-        "factories": tuple(factories),
-    }
-    return type("Mixed", (MixedSimulation,), described)
+    if name not in _made:
+        kinds = [kind for kind, _ in parts]
+        abilities = frozenset.intersection(*(kind.capabilities for kind in kinds))
+        if any("soft_cables" in kind.capabilities for kind in kinds):
+            abilities |= {"soft_cables"}
+        described = {
+            "__doc__": MixedSimulation.__doc__,
+            "engine": name,
+            "title": " and ".join(kind.title for kind in kinds),
+            "capabilities": abilities,
+            "version": ", ".join(f"{kind.engine} {kind.version}" for kind in kinds),
+            "parts": tuple(parts),
+        }
+        _made[name] = type("Mixed", (MixedSimulation,), described)
+    return _made[name]
