@@ -26,6 +26,9 @@ _FILE_OPTIONS = "json", "csv"
 _BROKEN_PIPE = 141
 """The exit code of a program whose output nobody reads any longer, as a shell reports it."""
 
+_DEBUG = "CDCSR_DEBUG"
+"""The environment variable with which an unforeseen error shows its traceback."""
+
 _P = ParamSpec("_P")
 
 
@@ -51,9 +54,7 @@ def _end_with_output(function: Callable[_P, int]) -> Callable[_P, int]:
                 if isinstance(refused, BrokenPipeError):
                     return _BROKEN_PIPE
                 return _fail(f"Cannot write the output: {refused.strerror or refused}.")
-            if isinstance(error, BrokenPipeError):
-                raise  # another pipe broke
-            return _fail(f"The system refused a call: {error}.")
+            return _unforeseen(f"The system refused a call: {error}", error)
         return code
 
     return call
@@ -94,7 +95,9 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 @_end_with_output
 def run(function: Callable[..., Any], prog: str, argv: Sequence[str]) -> int:
-    """Call a function with the arguments of a command line; an error becomes one line.
+    """Call a function with the arguments of a command line; every error becomes one line.
+
+    If the environment variable CDCSR_DEBUG is set, an error that is not foreseen is raised instead.
 
     Args:
         function: its signature gives the options, and what it returns is ignored. Or a class that
@@ -126,6 +129,14 @@ def run(function: Callable[..., Any], prog: str, argv: Sequence[str]) -> int:
     except _Ended as ended:
         number = ended.args[0]
         return _say(f"ended by {signal.Signals(number).name}", 128 + number)
+    except OSError:
+        raise  # perhaps the output, of which the decorator knows
+    except MemoryError as error:
+        return _unforeseen(
+            f"This machine's memory does not suffice: {str(error) or 'no details'}", error
+        )
+    except Exception as error:
+        return _unforeseen(f"Not foreseen: {_reason(error)}", error)
     return 0
 
 
@@ -201,6 +212,17 @@ def _summary(point: EntryPoint) -> str:
 
 def _reason(error: Exception) -> str:
     return f"{type(error).__name__}: {error}".rstrip(".")
+
+
+def _unforeseen(message: str, error: Exception) -> int:
+    """Report an error that nothing below has turned into a message for the user.
+
+    Raises:
+        Exception: the error itself, if the user wants to see the traceback.
+    """
+    if os.environ.get(_DEBUG):
+        raise error
+    return _fail(str(CdcsrError(f"{message.rstrip('.')}. Set {_DEBUG}=1 to see where.")))
 
 
 def _fail(message: str, code: int = 2) -> int:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import re
 import stat
 from pathlib import Path
 
@@ -12,6 +13,8 @@ MOST_TEXT = 1 << 20
 """The largest description, card or record, in bytes. The largest that ships has 6 kB."""
 MOST_TABLE = 1 << 28
 """The largest table, dataset or map, in bytes."""
+_NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_.:=,+-]{0,199}")
+"""The names that may become a part of a path: they lead to no other folder."""
 
 
 def check_file(path: Path, most: int, what: str = "file") -> None:
@@ -59,6 +62,19 @@ def read_text(path: Path, what: str = "file", most: int = MOST_TEXT) -> str:
         return read_bytes(path, most, what).decode("utf-8-sig")
     except UnicodeDecodeError as error:
         raise CdcsrError(f"Cannot read the {what} {path}: it is not UTF-8 ({error}).") from None
+
+
+def check_name(what: str, found: object) -> None:
+    """Check that a name from a file can be the name of a file, and leads to no other folder.
+
+    Raises:
+        CdcsrError: it is no such name.
+    """
+    if not isinstance(found, str) or not _NAME.fullmatch(found):
+        raise CdcsrError(
+            f"{what} must be a name of letters, digits and _.:=,+- that begins with a letter or a "
+            f"digit, at most 200 characters long; found {repr(found)[:100]}."
+        )
 
 
 def digest(data: bytes) -> str:

@@ -26,11 +26,11 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-import numba
 import numpy as np
 from numpy.typing import NDArray
 
 from backends.pybullet.lcp import factor, solve_complementarity, solve_transposed
+from cdcsr.compiled import compiled
 from cdcsr.robot.description import Robot
 from cdcsr.robot.routing import crossing, routing
 from cdcsr.simulation.plant import Plant
@@ -41,7 +41,7 @@ LIMIT_RECOVERY = 0.2
 """The part of the excess that Bullet takes back in a step from a hinge past its limit. A hinge that
 has not passed it yet moves freely."""
 
-_crossing = numba.njit(cache=True)(crossing)
+_crossing = compiled()(crossing)
 
 
 class Rig(NamedTuple):
@@ -78,7 +78,7 @@ def rig(robot: Robot) -> Rig:
     )
 
 
-@numba.njit(cache=True)
+@compiled()
 def cable_rows(rig: Rig, travel: Array, hinges: Array, jacobian: Array) -> Array:
     """Return how much longer than at rest every cable is, as described, shape (C,), in [m].
 
@@ -104,7 +104,7 @@ def cable_rows(rig: Rig, travel: Array, hinges: Array, jacobian: Array) -> Array
     return excess
 
 
-@numba.njit(cache=True)
+@compiled()
 def stiff_dampers(rig: Rig, plant: Plant, copy: int, hinges: Array, step: float) -> Array:
     """Return the dampers that must be implicit, others as zero, shape (C + 2 J,).
 
@@ -138,7 +138,7 @@ def stiff_dampers(rig: Rig, plant: Plant, copy: int, hinges: Array, step: float)
     return stiff
 
 
-@numba.njit(cache=True)
+@compiled()
 def joint_forces(
     rig: Rig,
     plant: Plant,

@@ -5,9 +5,10 @@ The matrices are small, so that a call of LAPACK takes longer than these loops.
 
 from __future__ import annotations
 
-import numba
 import numpy as np
 from numpy.typing import NDArray
+
+from cdcsr.compiled import compiled
 
 Array = NDArray[np.float64]
 
@@ -20,7 +21,7 @@ _MAX_PIVOTS = 1000
 _ROUND_OFF = 1e-13
 
 
-@numba.njit(cache=True, fastmath=_FAST)
+@compiled(_FAST)
 def factor(whole: Array) -> Array:
     """Replace a symmetric matrix by its Cholesky factor L, and each row b below it by L^-1 b.
 
@@ -48,7 +49,7 @@ def factor(whole: Array) -> Array:
     return inverse
 
 
-@numba.njit(cache=True, fastmath=_FAST)
+@compiled(_FAST)
 def solve_transposed(whole: Array, inverse: Array, vector: Array) -> None:
     """Replace a vector b by L^-T b; the other arguments are as :func:`factor` leaves them."""
     for k in range(inverse.size - 1, -1, -1):
@@ -57,7 +58,7 @@ def solve_transposed(whole: Array, inverse: Array, vector: Array) -> None:
             vector[i] -= vector[k] * whole[k, i]
 
 
-@numba.njit(cache=True)
+@compiled()
 def solve_complementarity(matrix: Array, vector: Array, solution: Array) -> None:
     """Solve 0 <= x complementary to A x + b >= 0, which has one solution as A is positive definite.
 

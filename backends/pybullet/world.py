@@ -6,7 +6,6 @@ import weakref
 from collections.abc import Iterable
 from typing import NamedTuple
 
-import numba
 import numpy as np
 import pybullet
 from numpy.typing import NDArray
@@ -16,6 +15,7 @@ from backends.pybullet.cables import joint_forces, rig
 from backends.pybullet.client import connect
 from backends.pybullet.equation import Equation
 from backends.pybullet.options import PybulletOptions
+from cdcsr.compiled import compiled
 from cdcsr.robot.description import Robot
 from cdcsr.simulation.plant import Parameters, Plant
 
@@ -194,7 +194,7 @@ def _disconnect(clients: list[int]) -> None:
         pybullet.disconnect(physicsClientId=client)
 
 
-@numba.njit(cache=True)
+@compiled()
 def _within(velocity: Array, fastest: Array) -> bool:
     """Whether every coordinate of every copy is a number and no faster than allowed."""
     for row in velocity:

@@ -192,12 +192,29 @@ def test_a_closed_output_ends_the_command_without_a_message(argv: list[str]) -> 
     assert (done.returncode, done.stderr) == (141, b"")
 
 
-def test_another_broken_pipe_is_an_error() -> None:
-    def lose_a_worker() -> None:
-        raise BrokenPipeError("of a worker")
+@pytest.mark.parametrize(
+    ("error", "said"),
+    [
+        (BrokenPipeError("of a worker"), "The system refused a call: of a worker"),
+        (MemoryError(), "This machine's memory does not suffice: no details"),
+        (RecursionError("too deep"), "Not foreseen: RecursionError: too deep"),
+        (OverflowError("too\nlarge"), "Not foreseen: OverflowError: too large"),
+        (ZeroDivisionError("by zero."), "Not foreseen: ZeroDivisionError: by zero"),
+    ],
+    ids=lambda one: type(one).__name__,
+)
+def test_what_is_not_foreseen_is_one_line_and_on_demand_a_traceback(
+    error: Exception, said: str, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def fail() -> None:
+        raise error
 
-    with pytest.raises(BrokenPipeError, match="of a worker"):
-        cli.run(lose_a_worker, "double", [])
+    assert cli.run(fail, "fail", []) == 2
+    expected = f"cdcsr: error: {said}. Set CDCSR_DEBUG=1 to see where.\n"
+    assert capsys.readouterr() == ("\n" if isinstance(error, OSError) else "", expected)
+    monkeypatch.setenv("CDCSR_DEBUG", "1")
+    with pytest.raises(type(error)):
+        cli.run(fail, "fail", [])
 
 
 def test_version(capsys: pytest.CaptureFixture[str]) -> None:
@@ -247,7 +264,8 @@ def test_a_call_that_the_system_refuses_is_one_line(capsys: pytest.CaptureFixtur
 
     assert cli.run(read, "read", []) == 2
     assert capsys.readouterr().err == (
-        "cdcsr: error: The system refused a call: [Errno 13] Permission denied: 'notes'.\n"
+        "cdcsr: error: The system refused a call: [Errno 13] Permission denied: 'notes'. "
+        "Set CDCSR_DEBUG=1 to see where.\n"
     )
 
 

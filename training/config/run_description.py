@@ -9,6 +9,7 @@ from typing import Literal, cast, get_args
 from tyro.conf import Suppress
 
 from cdcsr.errors import CdcsrError, unknown_choice
+from cdcsr.reading import check_name
 from cdcsr.tasks.starts import StartName, start_name
 from training.config.seeds import EVALUATION_SEEDS
 
@@ -147,6 +148,9 @@ class RunDescription:
             if isinstance(dataset, int):
                 values["num_demonstrations"], dataset = dataset, None
             values["preset"] = RENAMED.get(str(values["preset"]), values["preset"])
+            for name in ("algorithm", "backend", "space", "task"):
+                if name in values:
+                    check_name(f"The {name} of a run", values[name])
             return RunDescription(
                 **values,  # type: ignore[arg-type]
                 demonstrations=None if dataset is None else Path(str(dataset)),

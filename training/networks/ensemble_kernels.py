@@ -7,9 +7,10 @@ literal would turn the arithmetic of a loop into double precision.
 
 from __future__ import annotations
 
-import numba
 import numpy as np
 from numpy.typing import NDArray
+
+from cdcsr.compiled import compiled
 
 # Sums may be reordered; NaN and infinity keep their meaning.
 _FAST = {"reassoc", "contract", "arcp", "nsz"}
@@ -19,7 +20,7 @@ _EPS = 1e-5
 Floats = NDArray[np.floating]
 
 
-@numba.njit(cache=True, fastmath=_FAST)
+@compiled(_FAST)
 def rectify(x: Floats, bias: Floats) -> None:
     """Replace x by relu(x + bias)."""
     for i in range(x.shape[0]):
@@ -31,7 +32,7 @@ def rectify(x: Floats, bias: Floats) -> None:
                 row[j] = 0
 
 
-@numba.njit(cache=True, fastmath=_FAST)
+@compiled(_FAST)
 def back_rectify(delta: Floats, after: Floats, bias_gradient: Floats) -> None:
     """Take a gradient back through `rectify`.
 
@@ -50,7 +51,7 @@ def back_rectify(delta: Floats, after: Floats, bias_gradient: Floats) -> None:
             bias_gradient[j] += row[j]
 
 
-@numba.njit(cache=True, fastmath=_FAST)
+@compiled(_FAST)
 def normalize(
     x: Floats, bias: Floats, gain: Floats, shift: Floats, inverse: Floats, after: Floats
 ) -> None:
@@ -81,7 +82,7 @@ def normalize(
             out[j] = zero if value <= 0 else value
 
 
-@numba.njit(cache=True, fastmath=_FAST)
+@compiled(_FAST)
 def back_normalize(
     delta: Floats,
     normal: Floats,
@@ -124,7 +125,7 @@ def back_normalize(
             bias_gradient[j] += row[j]
 
 
-@numba.njit(cache=True, fastmath=_FAST)
+@compiled(_FAST)
 def head(below: Floats, weight: Floats, bias: Floats, value: Floats) -> None:
     """Write below @ weight + bias, the one output of a network, to `value`.
 
@@ -141,7 +142,7 @@ def head(below: Floats, weight: Floats, bias: Floats, value: Floats) -> None:
         value[i] = total
 
 
-@numba.njit(cache=True, fastmath=_FAST)
+@compiled(_FAST)
 def back_head(
     slope: Floats,
     below: Floats,

@@ -40,6 +40,12 @@ def test_an_older_record_is_read() -> None:
         ({"start": "anywere"}, "Unknown start 'anywere'. Did you mean 'anywhere'"),
         ({"seed": 2**64}, r"seed must lie in \[0, 2\^63\)"),
         ({"num_demonstrations": -1}, "num_demonstrations must not be negative"),
+        ({"preset": "/../../../x"}, "Unknown preset"),
+        ({"algorithm": "../x"}, "The algorithm of a run must be a name"),
+        ({"backend": "/etc/x"}, "The backend of a run must be a name"),
+        ({"space": "..\\x.npz"}, "The space of a run must be a name"),
+        ({"task": "a/../../b"}, "The task of a run must be a name"),
+        ({"task": ["reach"]}, "The task of a run must be a name"),
     ],
 )
 def test_what_cannot_be_a_run_is_refused(data: dict[str, object], message: str) -> None:

@@ -21,6 +21,7 @@ from cdcsr.errors import CdcsrError, unknown_choice
 from cdcsr.files import write_bytes, write_json
 from cdcsr.leftovers import sweep
 from cdcsr.locks import lock
+from cdcsr.reading import check_name
 from training.config.run_description import RunDescription
 from training.study.declare.budgets import Budget
 
@@ -43,6 +44,9 @@ class Job:
     spec: RunDescription
     evaluations: tuple[str, ...]
     budget: Budget
+
+    def __post_init__(self) -> None:
+        check_name("The name of a run", self.name)  # it becomes that of a folder
 
     @property
     def name(self) -> str:

@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cdcsr.errors import CdcsrError
+from cdcsr.reading import check_name
 from training.algorithms.registry import algorithm_order
 from training.config.run_description import NEAREST, SCRIPTED, RunDescription
 from training.study.store import Columns, StoredRun, read_results
@@ -189,7 +190,14 @@ def _curve(metrics: Columns) -> dict[float, float]:
 
 
 def episodes_of(columns: Columns) -> Episodes:
-    """Return the columns of an evaluation in the types of :class:`Episodes`."""
+    """Return the columns of an evaluation in the types of :class:`Episodes`.
+
+    Raises:
+        CdcsrError: an engine or a space has a name that cannot stand in that of a figure's file.
+    """
+    for kind in ("backend", "space"):
+        for name in np.unique(columns[kind]):
+            check_name(f"The {kind} of an episode", str(name))
     return Episodes(
         backend=columns["backend"].astype(np.str_),
         space=columns["space"].astype(np.str_),

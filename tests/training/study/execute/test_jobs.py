@@ -16,6 +16,7 @@ from pathlib import Path
 
 import pytest
 
+from cdcsr.errors import CdcsrError
 from cdcsr.locks import lock
 from cdcsr.simulation.engines import backend_names
 from tests.support.tiny import TINY_BUDGET, is_held, tiny_job
@@ -27,6 +28,20 @@ from training.study.execute import evaluations, jobs, local
 from training.study.execute.evaluations import EPISODE_COLUMNS, FOLLOW_COLUMNS, Evaluation
 from training.study.execute.jobs import Job, environment
 from training.study.execute.local import Outcome, carry_out_here
+
+
+@pytest.mark.parametrize(
+    "spec",
+    [
+        RunDescription(space="/elsewhere/map.npz"),
+        RunDescription(task="../../elsewhere"),
+        RunDescription(changes=(("features", "../elsewhere"),)),
+    ],
+    ids=lambda spec: spec.name,
+)
+def test_a_run_whose_name_leads_out_of_its_folder_is_refused(spec: RunDescription) -> None:
+    with pytest.raises(CdcsrError, match="The name of a run must be a name of letters"):
+        Job(spec, ("nominal",), TINY_BUDGET)
 
 
 class StopError(Exception):

@@ -90,6 +90,18 @@ def test_broken_results_are_named(study: Path, file: str, text: str, match: str)
         load_study(study)
 
 
+@pytest.mark.parametrize("part", ["task", "space", "backend", "evaluation"])
+def test_a_name_in_a_result_leads_to_no_other_folder(
+    part: str, study: Path, tmp_path: Path
+) -> None:
+    bad = "../../../elsewhere"
+    engine, spec = (bad, {}) if part == "evaluation" else ("mujoco", {part: bad})
+    write_run(study, "td3_s0", {"nominal": [nominal("1111", backend=engine)]}, **spec)
+    with pytest.raises(CdcsrError, match="must be a name of letters"):
+        report(results=study, out=tmp_path / "a" / "b" / "report")
+    assert not list(tmp_path.rglob("*elsewhere*"))
+
+
 def test_nothing_to_report(tmp_path: Path) -> None:
     with pytest.raises(CdcsrError, match="--results"):
         report(results=tmp_path / "none", out=tmp_path / "out")
