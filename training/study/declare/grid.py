@@ -54,6 +54,8 @@ TRANSFERRED = (
     (OURS, "mujoco", "spatter", "reach", 1.0),
     (OURS, "pybullet", "spatter", "reach", 0.0),
     ("batd3", "mujoco", "spatter", "reach", 0.0),
+    (OURS, "mujoco-stock", "spatter", "reach", 0.0),
+    (OURS, "mujoco+mujoco-stock", "spatter", "reach", 0.0),
     ("bc", "mujoco", "anchor", "capture", 0.0),
     (OURS, "mujoco", "anchor", "capture", 0.0),
 )

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -27,11 +27,12 @@ def transfer(runs: Sequence[Run]) -> Table:
     engines = [name for name in engines_of(chosen, EVALUATION) if ":" not in name]
     rows: list[list[Value]] = []
     for setting, group in grouped(chosen).items():
-        home = _success(group, setting.backend)
+        home_engine = setting.backend.partition("+")[0]  # of several engines the first
+        home = _success(group, home_engine)
         found = [_success(group, engine) for engine in engines]
         rates = [_estimate(one) for one in found]
         losses = [
-            "-" if engine == setting.backend else _difference(one, home)
+            "-" if engine == home_engine else _difference(one, home)
             for engine, one in zip(engines, found, strict=True)
         ]
         rows.append([*trained(setting), setting.task, setting.space, *rates, *losses, len(group)])
@@ -46,7 +47,7 @@ def transfer(runs: Sequence[Run]) -> Table:
     )
     note = basis(chosen) + (
         " Each seed has demonstrations of its own. Intervals hold for five seeds; differences from"
-        " the engine of training are paired by target."
+        " the engine of training, or the first of two, are paired by target."
     )
     return Table("transfer", "Transfer between engines", note, head, rows)
 
@@ -57,24 +58,39 @@ def transfer_figures(runs: Sequence[Run], out: Path) -> Figures:
     if not chosen:
         return
     engines = [name for name in engines_of(chosen, EVALUATION) if ":" not in name]
-    groups = grouped(chosen)
-    with drawn(out / FIGURE, (8.6, 4.2), "constrained") as figure:
-        axes = figure.subplots()
-        for i, ((setting, group), color) in enumerate(zip(groups.items(), COLORS, strict=False)):
-            label = f"{who(setting)}, trained in {engine_title(setting.backend)}"
-            shift = 0.14 * (i - (len(groups) - 1) / 2)
-            for x, engine in enumerate(engines):
-                scores = _success(group, engine)
-                if scores is not None:
-                    _draw(axes, x + shift, scores, color, label if x == 0 else "")
-        axes.set_xticks(range(len(engines)), [engine_title(name) for name in engines])
-        axes.set_ylabel("success on 100 targets")
-        axes.set_xlabel("tested in")
-        for x in range(1, len(engines)):
-            axes.axvline(x - 0.5, color=SOFT, lw=0.6)
-        tidy(axes)
+    problems = list(dict.fromkeys((run.setting.task, run.setting.space) for run in chosen))
+    with drawn(out / FIGURE, (8.6, 3.4 * len(problems) + 1), "constrained") as figure:
+        panels = figure.subplots(len(problems), sharex=True, squeeze=False)[:, 0]
+        colors = dict(zip(dict.fromkeys(map(_recipe, chosen)), COLORS, strict=False))
+        for axes, problem in zip(panels, problems, strict=True):
+            runs_here = [r for r in chosen if (r.setting.task, r.setting.space) == problem]
+            _panel(axes, runs_here, engines, colors)
+            axes.set_title(f"{problem[0]}, {problem[1].capitalize()}")
+        panels[-1].set_xlabel("tested in")
         legend(figure, 2)
     yield FIGURE, "Success in each engine; small dots are seeds, bars 95 % intervals over seeds."
+
+
+def _recipe(run: Run) -> str:
+    return f"{who(run.setting)}, trained in {engine_title(run.setting.backend)}"
+
+
+def _panel(
+    axes: Axes, runs: Sequence[Run], engines: Sequence[str], colors: Mapping[str, str]
+) -> None:
+    groups = grouped(runs)
+    for i, group in enumerate(groups.values()):
+        label = _recipe(group[0])
+        shift = min(0.14, 0.8 / len(groups)) * (i - (len(groups) - 1) / 2)
+        for x, engine in enumerate(engines):
+            scores = _success(group, engine)
+            if scores is not None:
+                _draw(axes, x + shift, scores, colors[label], label if x == 0 else "")
+    axes.set_xticks(range(len(engines)), [engine_title(name) for name in engines])
+    axes.set_ylabel("success on 100 targets")
+    for x in range(1, len(engines)):
+        axes.axvline(x - 0.5, color=SOFT, lw=0.6)
+    tidy(axes)
 
 
 def _draw(axes: Axes, x: float, scores: NDArray[np.float64], color: str, label: str) -> None:

@@ -86,7 +86,12 @@ def test_methods_come_in_the_order_in_which_they_are_compared_most() -> None:
 def test_seeds_of_the_study_of_transfer_have_demonstrations_of_their_own() -> None:
     runs = [spec for spec, _ in collect(["transfer"], BUDGETS["standard"]).values()]
     assert {(run.seed, run.demonstration_seed) for run in runs} == {(i, i) for i in range(1, 6)}
-    assert {run.backend for run in runs} == {"mujoco", "pybullet"}
+    assert {run.backend for run in runs} == {
+        "mujoco",
+        "pybullet",
+        "mujoco-stock",
+        "mujoco+mujoco-stock",
+    }
     others = [spec for spec, _ in collect(["table2"], BUDGETS["standard"]).values()]
     assert {(run.backend, run.demonstration_seed) for run in others} == {("mujoco", 0)}
 
