@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cdcsr.envs.gym_env import TaskVectorEnv
+from cdcsr.memory import check_memory
 from cdcsr.robot.description import Robot
 from cdcsr.simulation.contract import State
 from cdcsr.tasks.observation import TARGET, to_state
@@ -135,6 +136,12 @@ def rollout(
         watch: called after each action, to record what a `Rollout` does not hold.
     """
     num = env.num_envs
+    row = 2 * env.robot.num_cables + 26  # the numbers of an action: observation, action and reward
+    check_memory(
+        f"The records of {num} episodes of {env.max_actions} actions",
+        2.0 * 8 * row * num * (env.max_actions + 1),
+        "take fewer episodes at a time",
+    )
     active = np.ones(num, dtype=bool)
     success, ended = np.zeros((2, num), dtype=bool)
     length, diverged = np.zeros(num, dtype=np.int64), 0

@@ -50,6 +50,7 @@ class BatchSimulation(Simulation):
     version = mujoco.__version__
     cables_type: ClassVar[type[Cables | Limits]]
     """The class that holds the cables of a batch."""
+    copy_memory = 0.25e6
 
     def __init__(
         self,

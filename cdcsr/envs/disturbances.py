@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
@@ -16,6 +15,9 @@ from cdcsr.simulation.delay_line import DelayLine, check_delay
 from cdcsr.tasks.observation import BASE_POSITION
 
 Array = NDArray[np.float64]
+
+MOST = 1e3
+"""The largest standard deviation of noise, in [m]."""
 
 
 @dataclass(frozen=True)
@@ -35,10 +37,10 @@ class Disturbances:
 
     def __post_init__(self) -> None:
         noises = (self.action_noise, self.base_noise)
-        if not all(0 <= noise < math.inf for noise in noises) or not 0 <= self.packet_loss <= 1:
+        if not all(0 <= noise <= MOST for noise in noises) or not 0 <= self.packet_loss <= 1:
             raise CdcsrError(
-                "Noise must be finite and not negative, and packet_loss must lie in [0, 1]; "
-                f"found {self}."
+                f"Noise must lie in [0, {MOST:g}] m, and packet_loss must lie in [0, 1]; found "
+                f"{self}."
             )
         check_delay("observation_delay", self.observation_delay)
 

@@ -17,7 +17,7 @@ from cdcsr.envs.options import read_reset_options
 from cdcsr.envs.rng_state import pack_generator, unpack_generator
 from cdcsr.errors import CdcsrError, Diverged
 from cdcsr.robot.description import Robot, load_robot
-from cdcsr.simulation.arguments import MOST_COPIES, as_floats, check_count
+from cdcsr.simulation.arguments import MOST_COPIES, MOST_SEED, MOST_SKIP, as_floats, check_count
 from cdcsr.simulation.contract import Snapshot, State
 from cdcsr.simulation.engines import make_simulation
 from cdcsr.simulation.randomization import Randomization
@@ -33,8 +33,6 @@ Mask = NDArray[np.bool_]
 Info = dict[str, Any]
 """Gymnasium's type of infos, options and metadata."""
 
-_MOST_SEED = 2**63 - 1
-_MOST_SKIP = 10_000_000
 _SNAPSHOT = ("time", "position", "velocity", "private")
 """The arrays of a snapshot that are always there."""
 
@@ -91,7 +89,7 @@ class TaskVectorEnv(VectorEnv[Array, Array, NDArray[np.generic]]):
                 "autoreset_mode must be SAME_STEP or DISABLED; NEXT_STEP would waste a step."
             )
         self.robot = robot if isinstance(robot, Robot) else load_robot(robot)
-        check_count("frame_skip", frame_skip, _MOST_SKIP)
+        check_count("frame_skip", frame_skip, MOST_SKIP)
         self.backend, self.frame_skip = backend, frame_skip
         self.task = make_task(
             task,
@@ -184,7 +182,7 @@ class TaskVectorEnv(VectorEnv[Array, Array, NDArray[np.generic]]):
             CdcsrError: an unknown option, or one of the wrong shape; a negative seed.
         """
         if seed is not None:
-            check_count("seed", seed, _MOST_SEED, least=0)
+            check_count("seed", seed, MOST_SEED, least=0)
         super().reset(seed=seed)
         if seed is not None:
             self._spawn()

@@ -10,6 +10,8 @@ from pydantic_core import InitErrorDetails, PydanticCustomError
 
 Place = tuple[str | int, ...]
 
+MOST_LINKS = 500
+"""The largest number of links of a segment."""
 _LEAST, _MOST = 1e-9, 1e9
 """The range of all numbers, in their units. Products of several such numbers stay far inside the
 range of double precision."""
@@ -20,7 +22,7 @@ _NOT_TINY = {
 """The keys whose numbers have a lower bound above zero."""
 _RANGES: dict[str, tuple[float, float]] = {
     "time_step": (1e-6, 0.1),
-    "links": (1, 500),
+    "links": (1, MOST_LINKS),
     "inertia": (1e-14, 1e9),
     "youngs_modulus": (1e-9, 1e13),
 }

@@ -6,11 +6,16 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from cdcsr.errors import CdcsrError
+from cdcsr.memory import check_memory
 
 Array = NDArray[np.float64]
 
 MOST_COPIES = 100_000
 """The largest number of copies of a robot in one simulation."""
+MOST_SKIP = 10_000_000
+"""The largest number of simulation steps for which an action is held."""
+MOST_SEED = 2**63 - 1
+"""The largest seed."""
 _LARGEST_COMMAND = 1e9
 """The largest command in [m]. MuJoCo ignores commands beyond 1e10."""
 
@@ -27,6 +32,32 @@ def check_count(name: str, found: object, most: int, least: int = 1) -> None:
         or (not least <= found <= most)
     ):
         raise CdcsrError(f"{name} must be a whole number from {least} to {most}, not {found!r}.")
+
+
+def check_copies(num: int, engine: str, memory: float) -> None:
+    """Check that a number of copies is in range, and that they fit into memory.
+
+    Args:
+        num: how many copies.
+        engine: the engine's name.
+        memory: about how much memory a copy takes there, in bytes.
+
+    Raises:
+        CdcsrError: they do not.
+    """
+    check_count("The number of copies", num, MOST_COPIES)
+    needed = memory * num
+    check_memory(f"{num} copies in {engine}", needed, "take fewer copies or episodes at a time")
+
+
+def check_number(name: str, found: float, low: float, high: float) -> None:
+    """Check that a number lies in a range whose ends belong to it; NaN does not.
+
+    Raises:
+        CdcsrError: it does not.
+    """
+    if not low <= found <= high:
+        raise CdcsrError(f"{name} must be a number from {low:g} to {high:g}, not {found:g}.")
 
 
 def as_floats(

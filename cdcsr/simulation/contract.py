@@ -21,9 +21,9 @@ from cdcsr.errors import CdcsrError, Diverged
 from cdcsr.robot.description import Robot
 from cdcsr.robot.stability import stable_step
 from cdcsr.simulation.arguments import (
-    MOST_COPIES,
     as_command,
     as_floats,
+    check_copies,
     check_count,
     chosen_copies,
 )
@@ -36,7 +36,6 @@ from cdcsr.simulation.state import Array, Dynamics, Snapshot, State
 
 Ids = Sequence[int] | NDArray[np.integer] | NDArray[np.bool_] | None
 """Which copies: sorted unique indices, a mask of shape (num,), or None for all copies."""
-_MOST_SUBSTEPS = 1_000_000_000
 
 
 class Simulation(ABC):
@@ -72,11 +71,12 @@ class Simulation(ABC):
     options_type: ClassVar[type[EngineOptions]] = EngineOptions
     """The class of the options, each with its default, its bounds and a docstring."""
     switches: ClassVar[Mapping[str, str]] = {}
-    """Values of options, each of which sets one of the engine's own settings to the
-    description's."""
+    """Options' values, each of which sets one of the engine's settings to the description's."""
+    copy_memory: ClassVar[float] = 0.0
+    """About how much memory a copy takes, in bytes."""
 
     def __init__(self, robot: Robot, num: int = 1, options: EngineOptions | None = None) -> None:
-        check_count("The number of copies", num, MOST_COPIES)
+        check_copies(num, self.engine, self.copy_memory)
         if "any_arm" not in self.capabilities and robot.beyond_first_version:
             raise CdcsrError(
                 f"The engine {self.engine!r} cannot simulate {robot.name!r}: "
@@ -186,7 +186,7 @@ class Simulation(ABC):
         """
         self._check_open()
         command = as_command(command, self.plant.servo_gain.shape)
-        check_count("substeps", substeps, _MOST_SUBSTEPS)
+        check_count("substeps", substeps, 1_000_000_000)
         if self._line.idle:
             self._step(command, substeps)
             return

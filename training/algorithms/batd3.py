@@ -9,7 +9,7 @@ from torch import Tensor
 
 from training.algorithms.imitation import Imitation, anchor_loss, self_imitation_loss
 from training.algorithms.td3 import TD3, TD3Numbers
-from training.config.learner import CloneRollouts, CloneStart, Count, Demonstrated, NotNegative
+from training.config.learner import CloneRollouts, CloneStart, Demonstrated, Members, NotNegative
 from training.experience.replay import Batch
 
 
@@ -35,7 +35,7 @@ class WithoutAssistanceNumbers(HeldNumbers, Demonstrated, CloneRollouts):
 class WithoutEnsembleNumbers(BATD3Numbers):
     """The numbers of BATD3 with the pair of critics that TD3 has."""
 
-    critics: Count = 2
+    critics: Members = 2
     """Number E of critics in the ensemble."""
 
 

@@ -12,7 +12,7 @@ from training.algorithms.td3 import TD3, TD3Numbers
 class HERNumbers(TD3Numbers):
     """The numbers of HER."""
 
-    hindsight: Annotated[int, Field(ge=0)] = 4
+    hindsight: Annotated[int, Field(ge=0, le=1_000)] = 4
     """Copies of each collected episode that are stored with a target that the tip did reach."""
 
 

@@ -17,7 +17,7 @@ from torch.nn import functional
 
 from cdcsr.robot.description import Robot
 from cdcsr.tasks.task import Reward
-from training.config.learner import Count, NotNegative, Positive, Practising, Share
+from training.config.learner import Count, Members, NotNegative, Practising, Rate, Share
 from training.experience.replay import Batch
 from training.networks.actor import Actor
 from training.networks.bfloat16 import matrix_products
@@ -29,13 +29,13 @@ class BackboneNumbers(Practising):
 
     layer_norm: bool = False
     """Use LayerNorm before each hidden activation of the critics."""
-    learning_rate: Positive = 1e-4
+    learning_rate: Rate = 1e-4
     """Learning rate of actor and critics (Adam)."""
     soft_update: Share = 0.01
     """Rate beta at which target networks follow."""
-    critics: Count = 5
+    critics: Members = 5
     """Number E of critics in the ensemble."""
-    target_critics: Count = 2
+    target_critics: Members = 2
     """Number Z of critics, drawn at random, whose minimum is the target."""
     target_noise: NotNegative = 0.2
     """Standard deviation of the noise on the target policy's action in [-1, 1]."""

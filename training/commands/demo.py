@@ -17,12 +17,11 @@ def demo(out: Path, minutes: float = 8.0, json: Path | None = None) -> None:
         minutes: longest training time. A larger number trains a demo further that ran out of it.
         json: also write the results, each episode included, to this file.
     """
-    from cdcsr.errors import CdcsrError
     from cdcsr.files import write_json
+    from cdcsr.simulation.arguments import check_number
     from training.commands.demo_stages import Amounts, run_demo
 
-    if not minutes > 0:
-        raise CdcsrError(f"minutes must be positive, not {minutes:g}.")
+    check_number("minutes", minutes, 1e-3, 1e6)
     summary = run_demo(out, Amounts(minutes))
     if json is not None:
         write_json(json, summary)

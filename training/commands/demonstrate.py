@@ -40,14 +40,13 @@ def demonstrate(
         json: also write the summary to this file.
     """
     from cdcsr.envs.gym_env import TaskVectorEnv
-    from cdcsr.errors import CdcsrError
     from cdcsr.files import write_json
     from cdcsr.folders import new_folder
+    from cdcsr.simulation.arguments import MOST_COPIES, check_count
     from controllers import demonstrations
     from controllers.jacobian import JacobianController
 
-    if episodes < 1:
-        raise CdcsrError(f"episodes must be at least 1, not {episodes}.")
+    check_count("episodes", episodes, MOST_COPIES)
     with new_folder(out, "demonstrations", force) as folder:
         options = {"frame_skip": frame_skip, "task": task, "autoreset_mode": "Disabled"}
         env = TaskVectorEnv(episodes, robot, backend, space, start=start, **options)

@@ -37,6 +37,7 @@ def parity(
     from cdcsr.errors import CdcsrError, CheckFailed
     from cdcsr.files import refuse_unwritable, write_json
     from cdcsr.robot.description import load_robot
+    from cdcsr.simulation.arguments import MOST_SEED, check_count
     from cdcsr.simulation.engines import (
         backend_names,
         chosen_backends,
@@ -45,10 +46,8 @@ def parity(
     )
     from training.measure.trajectories import demonstrator_commands
 
-    if episodes < 1:
-        raise CdcsrError(f"episodes must be at least 1, not {episodes}.")
-    if seed < 0:
-        raise CdcsrError(f"seed must not be negative, found {seed}.")
+    check_count("episodes", episodes, 1_000)
+    check_count("seed", seed, MOST_SEED, least=0)
     if plot is not None:
         refuse_unwritable(plot / "figure.png")
     description = load_robot(robot)

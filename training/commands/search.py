@@ -131,13 +131,13 @@ def _prepare(
     """Find the controller, and check that it can be searched around."""
     from cdcsr.errors import CdcsrError
     from cdcsr.robot.description import load_robot
+    from cdcsr.simulation.arguments import MOST_COPIES, check_count
     from training.commands.measured import find_controller, robot_of, set_threads
     from training.config.seeds import TEST_SEED
 
     set_threads()
-    for name, value in {"episodes": episodes, "rounds": rounds}.items():
-        if value < 1:
-            raise CdcsrError(f"{name} must be at least 1, not {value}.")
+    check_count("episodes", episodes, MOST_COPIES)
+    check_count("rounds", rounds, 1_000_000)
     description = load_robot(robot)
     controller = find_controller(policy, description)
     if controller.task not in ("reach", "precise", "quiet"):

@@ -35,9 +35,14 @@ def validate(
     from backends.cosserat.statics import fit
     from cdcsr.errors import CdcsrError
     from cdcsr.files import write_json
+    from cdcsr.robot.physical_rules import MOST_LINKS
+    from cdcsr.simulation.arguments import check_count
 
-    if shapes < 1 or not links or min(links) < 1:
-        raise CdcsrError("shapes and links must be at least 1.")
+    check_count("shapes", shapes, 1_000_000)
+    if not links:
+        raise CdcsrError("No number of links is given; give some with --links.")
+    for count in links:
+        check_count("A number of links", count, MOST_LINKS)
     rows: list[dict[str, object]] = []
     print("material  links  shapes  tip error: mean    max  middle: mean   seconds a shape")
     for name in MATERIALS if material == "all" else (material,):

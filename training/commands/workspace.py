@@ -5,6 +5,10 @@ from __future__ import annotations
 import sys
 from pathlib import Path
 
+_MOST_POINTS = 500
+"""The largest number of points along an axis of the grid, from end to end of all that an arm of the
+robot's length could reach."""
+
 
 def workspace(
     robot: str,
@@ -33,18 +37,19 @@ def workspace(
     from cdcsr.errors import CdcsrError
     from cdcsr.files import refuse_unwritable, write_json
     from cdcsr.robot.description import load_robot
+    from cdcsr.simulation.arguments import check_number
     from controllers.workspace import compute_workspace, draw_workspace
 
     if out.suffix != ".npz":
         raise CdcsrError(f"A map is an .npz file, not {out.name!r}.")
     if plot is not None and plot.suffix != ".png":
         raise CdcsrError(f"The picture of a map is a .png file, not {plot.name!r}.")
-    if not spacing > 0:
-        raise CdcsrError(f"spacing must be positive, not {spacing:g}.")
     for path in (out, plot):
         if path is not None:
             refuse_unwritable(path)
     description = load_robot(robot)
+    reach = 2 * (description.top + description.arm_length)
+    check_number("spacing", spacing, reach / _MOST_POINTS, reach)
     counts = {"tried": 0, "reached": 0, "diverged": 0}
     start, end = ("\r", "") if sys.stdout.isatty() else ("", "\n")
 

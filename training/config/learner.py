@@ -10,10 +10,14 @@ from typing import Annotated, Literal, Self
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 
 from cdcsr.errors import CdcsrError, unknown_choice
+from cdcsr.simulation.arguments import MOST_COPIES
 
-Count = Annotated[int, Field(ge=1)]
-Positive = Annotated[float, Field(gt=0)]
-NotNegative = Annotated[float, Field(ge=0)]
+Count = Annotated[int, Field(ge=1, le=1_000_000_000)]
+Copies = Annotated[int, Field(ge=1, le=MOST_COPIES)]
+Members = Annotated[int, Field(ge=1, le=100)]
+Width = Annotated[int, Field(ge=1, le=16_384)]
+Rate = Annotated[float, Field(gt=0, le=10)]
+NotNegative = Annotated[float, Field(ge=0, le=1e6)]
 Share = Annotated[float, Field(gt=0, le=1)]
 
 
@@ -56,9 +60,9 @@ class Network(Numbers):
     symmetry: bool = False
     """Mirror symmetry: replace every situation by its mirror image whose target lies in one part of
     the space, one quarter for arms like the paper's. What is learned there holds everywhere."""
-    hidden: Annotated[tuple[Count, ...], Field(min_length=1)] = (256, 256, 256)
+    hidden: Annotated[tuple[Width, ...], Field(min_length=1, max_length=16)] = (256, 256, 256)
     """Widths of the hidden layers of every network."""
-    batch_size: Count = 256
+    batch_size: Annotated[int, Field(ge=1, le=1_000_000)] = 256
     """Rows in a batch."""
 
 
@@ -67,7 +71,7 @@ class Cloning(Network):
 
     bc_updates: Count = 10_000
     """Updates of the behaviour clone."""
-    bc_learning_rate: Positive = 1e-4
+    bc_learning_rate: Rate = 1e-4
     """Learning rate of the behaviour clone (Adam)."""
 
 
@@ -81,7 +85,7 @@ class Practising(Network):
     """Discount gamma of each action."""
     return_steps: Count = 1
     """Steps n of the n-step return; it bootstraps through time limits."""
-    num_envs: Count = 1
+    num_envs: Copies = 1
     """Environments that are stepped side by side."""
     updates_per_step: Count = 1
     """Updates after each step of the environments."""
@@ -91,7 +95,7 @@ class Practising(Network):
     """Give each environment its own deviation, evenly from zero to twice `exploration_noise`."""
     noise_hold: Count = 1
     """Actions for which one draw of exploration noise is held."""
-    hindsight: Annotated[int, Field(ge=0)] = 0
+    hindsight: Annotated[int, Field(ge=0, le=1_000)] = 0
     """Copies of each collected episode that are stored with a target that the tip did reach
     (Andrychowicz et al. 2017)."""
     updates: Count = 100_000
@@ -120,7 +124,7 @@ class Demonstrated(Network):
 class CloneRollouts(Network):
     """A replay that begins with episodes of the clone."""
 
-    bc_rollouts: Count = 100
+    bc_rollouts: Copies = 100
     """Episodes of the behaviour clone whose successes pre-fill the replay buffer."""
 
 

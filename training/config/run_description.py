@@ -10,6 +10,8 @@ from tyro.conf import Suppress
 
 from cdcsr.errors import CdcsrError, unknown_choice
 from cdcsr.reading import check_name
+from cdcsr.simulation.arguments import MOST_COPIES, MOST_SEED, MOST_SKIP, check_count
+from cdcsr.simulation.randomization import check_scale
 from cdcsr.tasks.starts import StartName, start_name
 from training.config.seeds import EVALUATION_SEEDS
 
@@ -69,20 +71,20 @@ class RunDescription:
         start_name(self.start)
         if self.preset not in get_args(PresetName):
             raise CdcsrError(unknown_choice("preset", self.preset, get_args(PresetName)))
-        if not 0 <= self.seed < 2**63:
-            raise CdcsrError(f"seed must lie in [0, 2^63), found {self.seed}.")
+        check_count("seed", self.seed, MOST_SEED, least=0)
         if self.seed in EVALUATION_SEEDS:
             what = EVALUATION_SEEDS[self.seed]
             raise CdcsrError(f"seed {self.seed} draws the {what}; give another seed.")
-        if self.demonstration_seed < 0 or self.demonstration_seed in EVALUATION_SEEDS:
+        check_count("demonstration_seed", self.demonstration_seed, MOST_SEED, least=0)
+        if self.demonstration_seed in EVALUATION_SEEDS:
             raise CdcsrError(
-                "demonstration_seed must not be negative and not draw evaluation targets "
+                "demonstration_seed must not draw evaluation targets "
                 f"({', '.join(map(str, EVALUATION_SEEDS))}), found {self.demonstration_seed}."
             )
-        if self.num_demonstrations < 0:
-            raise CdcsrError(
-                f"num_demonstrations must not be negative, found {self.num_demonstrations}."
-            )
+        check_count("num_demonstrations", self.num_demonstrations, MOST_COPIES, least=0)
+        check_count("frame_skip", self.frame_skip, MOST_SKIP)
+        check_count("updates", self.updates, 1_000_000_000, least=0)
+        check_scale(self.randomize)
         object.__setattr__(self, "changes", tuple(sorted(self.changes)))
 
     @property

@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 
 from cdcsr.envs.disturbances import Disturbances
 from cdcsr.envs.gym_env import TaskVectorEnv
-from cdcsr.errors import CdcsrError
 from cdcsr.robot.description import Robot
+from cdcsr.simulation.arguments import MOST_COPIES, check_count
 from cdcsr.tasks.catalogue import make_task
 from cdcsr.tasks.starts import Starts
 from controllers.controller import Controller
@@ -114,8 +114,7 @@ def evaluate(
     Raises:
         CdcsrError: an unknown engine or space, or no episodes.
     """
-    if episodes < 1:
-        raise CdcsrError(f"episodes must be at least 1, not {episodes}.")
+    check_count("episodes", episodes, MOST_COPIES)
     centers = controller.centers if centers is None else centers
     frame_skip = controller.frame_skip if frame_skip is None else frame_skip
     max_steps = make_task(task).max_steps

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from functools import cached_property
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -12,10 +13,11 @@ from torch import Tensor
 
 from cdcsr.envs.gym_env import TaskVectorEnv
 from cdcsr.errors import CdcsrError
+from cdcsr.memory import check_memory
 from cdcsr.robot.description import Robot, load_robot
 from cdcsr.simulation.engines import load_backend
-from cdcsr.simulation.randomization import check_scale
 from cdcsr.tasks.catalogue import actions_per_episode, make_task
+from cdcsr.tasks.observation import observation_size
 from cdcsr.tasks.spaces import demonstration_space, make_space
 from cdcsr.tasks.starts import Starts
 from cdcsr.tasks.symmetry import images
@@ -25,7 +27,7 @@ from controllers.jacobian import JacobianController
 from controllers.rollout import Episode
 from training.algorithms.registry import find_algorithm
 from training.algorithms.td3 import BackboneNumbers
-from training.config.learner import Practising
+from training.config.learner import Demonstrated, Practising
 from training.config.seeds import VALIDATION_SEED
 from training.measure.evaluation import Result, evaluate
 from training.networks.actor import Actor
@@ -63,8 +65,6 @@ class Setup:
             raise CdcsrError(
                 f"symmetry must be off: the cables of {self.robot.name!r} have no mirror image."
             )
-        if config.randomize:
-            check_scale(config.randomize)
         if not isinstance(learner, Practising):
             if config.randomize:
                 raise CdcsrError(
@@ -77,6 +77,7 @@ class Setup:
                 f"discount must be below 1 for {config.task!r}, which pays for every action on "
                 "target."
             )
+        self._check_memory(learner)
         if learner.capacity < (least := max(learner.batch_size, actions + 1)):
             raise CdcsrError(
                 f"capacity must be at least {least}, a batch and an episode, not "
@@ -84,6 +85,30 @@ class Setup:
             )
         if isinstance(learner, BackboneNumbers) and learner.bfloat16 and not has_fast_bfloat16():
             raise CdcsrError("bfloat16 must be off: this processor multiplies no faster in it.")
+
+    def _check_memory(self, learner: Practising) -> None:
+        """Check that the replay and the networks fit into memory.
+
+        A network takes its weights five times (with the target's, the gradient and Adam's two
+        moments), and the output of each layer three times for every row of a batch.
+        """
+        inputs, cables = observation_size(self.robot), self.robot.num_cables
+        kept = isinstance(learner, Demonstrated) and learner.kept_share > 0
+        rows = learner.capacity * (1 + kept)
+        check_memory(
+            f"A replay with a capacity of {learner.capacity:,} rows",
+            rows * (4.0 * (inputs + 2 * cables + 3) + 8),
+            "lower --learner.capacity",
+        )
+        widths = (inputs + 3, *learner.hidden, cables)
+        weights = sum(before * after for before, after in pairwise(widths))
+        critics = learner.critics if isinstance(learner, BackboneNumbers) else 0
+        check_memory(
+            f"{1 + critics} networks of hidden layers {learner.hidden} and batches of "
+            f"{learner.batch_size:,}",
+            4.0 * (1 + critics) * (5 * weights + 3 * learner.batch_size * sum(widths)),
+            "lower --learner.hidden, --learner.batch-size or --learner.critics",
+        )
 
     def identity(self) -> dict[str, object]:
         """Return all that must be the same for the run to be resumed."""

@@ -7,6 +7,7 @@ from pathlib import Path
 
 from cdcsr.errors import CdcsrError
 from cdcsr.folders import WorkingFolder
+from cdcsr.simulation.arguments import MOST_COPIES, check_count, check_number
 from training.algorithms.registry import differences, numbers_of, own_numbers
 from training.config.learner import Cloning, Network
 from training.config.run_description import RENAMED, Changes, RunDescription
@@ -55,16 +56,11 @@ class Train(RunDescription):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        if self.num_demonstrations < 1:
-            raise CdcsrError(
-                f"num_demonstrations must be at least 1, not {self.num_demonstrations}."
-            )
-        if self.evaluate_episodes < 1:
-            raise CdcsrError(f"evaluate_episodes must be at least 1, not {self.evaluate_episodes}.")
-        if self.evaluate_every < 0:
-            raise CdcsrError(f"evaluate_every must not be negative, found {self.evaluate_every}.")
-        if self.stop_after is not None and not self.stop_after >= 0:
-            raise CdcsrError(f"stop_after must be a number of minutes, not {self.stop_after}.")
+        check_count("num_demonstrations", self.num_demonstrations, MOST_COPIES)
+        check_count("evaluate_episodes", self.evaluate_episodes, MOST_COPIES)
+        check_count("evaluate_every", self.evaluate_every, 1_000_000_000, least=0)
+        if self.stop_after is not None:
+            check_number("stop_after", self.stop_after, 0.0, 1e6)
 
     @property
     def learner(self) -> Network:

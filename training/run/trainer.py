@@ -13,7 +13,6 @@ import torch
 from tqdm import tqdm
 
 from cdcsr.envs.gym_env import TaskVectorEnv
-from cdcsr.errors import CdcsrError
 from cdcsr.files import write_bytes, write_json
 from cdcsr.simulation.randomization import Randomization
 from cdcsr.tasks.spaces import wider_targets
@@ -176,13 +175,8 @@ class Run:
             env.space = wider_targets(env.space, learner.practice, robot)
         collector = Collector(env, exploration_noise(learner), learner.noise_hold, noise)
         share = learner.kept_share if isinstance(learner, Demonstrated) else 0.0
-        try:
-            actions = None if clone is None else clone.actions
-            replay = MixedReplay(robot, env.task, learner, actions, share)
-        except MemoryError:
-            raise CdcsrError(
-                f"capacity {learner.capacity} does not fit into this machine's memory."
-            ) from None
+        actions = None if clone is None else clone.actions
+        replay = MixedReplay(robot, env.task, learner, actions, share)
         collector.start(config.seed)
         generators = {"noise": noise, "sample": sample, "hindsight": hindsight}
         return Parts(algorithm, replay, collector, generators, torch_generator), env

@@ -288,7 +288,7 @@ def test_the_command_names_the_first_failure_and_exits_with_1(
     [
         (["--backend", "bullet"], "Unknown backend 'bullet'. Did you mean 'pybullet'?"),
         (["--backend", "mujoco"], "There is no engine to compare 'mujoco' with"),
-        (["--episodes", "0"], "episodes must be at least 1, not 0."),
+        (["--episodes", "0"], "episodes must be a whole number from 1 to 1000, not 0."),
     ],
 )
 def test_wrong_options_exit_with_2(

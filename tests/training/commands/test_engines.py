@@ -45,7 +45,10 @@ def test_a_broken_engine_is_listed_with_its_error(
     ("options", "message"),
     [
         (["cosserat", "missing"], "missing"),
-        (["cosserat", ".", "--links", "0"], "links must be at least 1"),
+        (
+            ["cosserat", ".", "--links", "0"],
+            "A number of links must be a whole number from 1 to 500, not 0",
+        ),
     ],
 )
 def test_validate_ends_in_one_clear_line(

@@ -133,4 +133,4 @@ def test_the_command_goes_on_and_refuses_another_search(
     assert search(whole / "search.json" / "below", 2) == 2
     assert "Cannot write" in capsys.readouterr().err
     assert search(tmp_path / "none", 0) == 2
-    assert "episodes must be at least 1" in capsys.readouterr().err
+    assert "episodes must be a whole number from 1 to 100000" in capsys.readouterr().err

@@ -104,7 +104,7 @@ def test_full_packet_loss_blinds_a_policy_but_not_the_demonstrator() -> None:
 
 def test_no_episodes_is_an_error() -> None:
     robot = load_robot("paper")
-    with pytest.raises(CdcsrError, match="episodes must be at least 1"):
+    with pytest.raises(CdcsrError, match="episodes must be a whole number from 1"):
         evaluate(Still(), robot, "mujoco", "anchor", episodes=0)
     with pytest.raises(CdcsrError, match="seed must be a whole number from 0"):
         evaluate(Still(), robot, "mujoco", "anchor", episodes=1, seed=-1)

@@ -28,6 +28,10 @@ OUT = ["--out", "x"]
         ({"learning_rate": float("inf")}, "learning_rate: should be a finite number"),
         ({"soft_update": -3.0}, "soft_update: should be greater than 0"),
         ({"hidden": ()}, "hidden: .*at least 1"),
+        ({"hidden": (30_000,)}, "hidden: should be less than or equal to 16384"),
+        ({"hidden": (8,) * 17}, "hidden: .*at most 16 items"),
+        ({"capacity": 10**23}, "capacity: should be less than or equal to 1000000000"),
+        ({"num_envs": 10**6}, "num_envs: should be less than or equal to 100000"),
         ({"hidden": (16, 0)}, "hidden: should be greater than or equal to 1"),
         ({"step_cost": 0.1}, "Unknown option of this algorithm 'step_cost'"),
     ],
@@ -40,10 +44,10 @@ def test_impossible_numbers_are_refused(numbers: dict[str, object], message: str
 @pytest.mark.parametrize(
     ("options", "message"),
     [
-        ({"evaluate_every": -7}, "evaluate_every must not be negative"),
-        ({"evaluate_episodes": 0}, "evaluate_episodes must be at least 1"),
-        ({"num_demonstrations": 0}, "num_demonstrations must be at least 1"),
-        ({"stop_after": float("nan")}, "stop_after must be a number of minutes"),
+        ({"evaluate_every": -7}, "evaluate_every must be a whole number from 0"),
+        ({"evaluate_episodes": 0}, "evaluate_episodes must be a whole number from 1 to 100000"),
+        ({"num_demonstrations": 0}, "num_demonstrations must be a whole number from 1"),
+        ({"stop_after": float("nan")}, "stop_after must be a number from 0 to"),
     ],
 )
 def test_impossible_options_are_refused(options: dict[str, float], message: str) -> None:

@@ -12,6 +12,7 @@ from typing import IO
 
 from cdcsr.errors import CdcsrError
 from cdcsr.locks import Busy
+from cdcsr.simulation.arguments import check_count
 from training.study.execute.jobs import Job
 
 POLL = 0.2
@@ -86,8 +87,7 @@ def carry_out_here(jobs: Sequence[Job], runs: Path, results: Path, slots: int) -
     Raises:
         CdcsrError: `slots` is less than 1, or the folder `runs` cannot be made.
     """
-    if slots < 1:
-        raise CdcsrError(f"--jobs must be at least 1, found {slots}.")
+    check_count("--jobs", slots, 1_000)
     try:
         runs.mkdir(parents=True, exist_ok=True)
     except OSError as error:
