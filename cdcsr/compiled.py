@@ -6,6 +6,7 @@ from collections.abc import Callable, Collection
 from typing import TypeVar, cast
 
 import numba
+from numba.core.dispatcher import Dispatcher
 
 F = TypeVar("F", bound=Callable[..., object])
 
@@ -29,3 +30,12 @@ def compiled(fastmath: Collection[str] = ()) -> Callable[[F], F]:
         return cast(F, made)  # it is called as the function is
 
     return decorate
+
+
+def cache_folder() -> str | None:
+    """Return a folder in which machine code is kept, or None if there is no place for it."""
+    found: str | None = cast(Dispatcher, compiled()(_nothing)).stats.cache_path
+    return found
+
+
+def _nothing() -> None: ...

@@ -35,6 +35,28 @@ _SPEED_LIMIT = 1e4
 """A coordinate that moves faster than this, in [m/s] or [rad/s], has diverged."""
 
 
+_no_opengl: list[str] = []
+"""The names of the errors with which OpenGL failed to start in this process. A second attempt would
+end the process."""
+
+
+def _make_renderer(model: mujoco.MjModel) -> mujoco.Renderer:
+    """Start OpenGL.
+
+    Raises:
+        CdcsrError: it does not start, or failed to before.
+    """
+    if not _no_opengl:
+        try:
+            return mujoco.Renderer(model, 480, 640)
+        except Exception as error:  # every GL platform raises another type
+            _no_opengl.append(type(error).__name__)
+    raise CdcsrError(
+        "MuJoCo cannot draw here: it found no OpenGL (set MUJOCO_GL to egl, osmesa or glfw before "
+        f"the start, or draw with the pybullet engine, which needs none). [{_no_opengl[0]}]"
+    )
+
+
 class BatchSimulation(Simulation):
     """`num` copies of a robot in MuJoCo; an engine says which model they step, and what holds the
     cables.
@@ -241,14 +263,7 @@ class BatchSimulation(Simulation):
         azimuth, elevation = camera_angles(camera)
         renderer = self._renderer
         if renderer is None:
-            try:
-                renderer = self._renderer = mujoco.Renderer(self.model, 480, 640)
-            except Exception as error:  # every GL platform raises another type
-                raise CdcsrError(
-                    "MuJoCo cannot draw here: it found no OpenGL (set MUJOCO_GL to egl, osmesa or "
-                    "glfw, or draw with the pybullet engine, which needs none). "
-                    f"[{type(error).__name__}]"
-                ) from None
+            renderer = self._renderer = _make_renderer(self.model)
         view = mujoco.MjvCamera()
         view.lookat[:] = self.model.stat.center
         view.distance, view.azimuth = 1.6 * self.model.stat.extent, azimuth + 90

@@ -8,6 +8,7 @@ by "+", `mujoco+pybullet` for example, mean one simulation whose copies are in s
 from __future__ import annotations
 
 import os
+import re
 import sys
 from collections.abc import Callable
 from functools import cache
@@ -49,15 +50,21 @@ def load_backend(name: str) -> type[Simulation]:
     Raises:
         CdcsrError: no engine of that name is installed, or an option is wrong.
     """
-    if "+" not in name:
+    parts = _parts(name)
+    if len(parts) == 1:
         return _backend_with_options(name)[0]
-    return mixed_engine(name, [_backend_with_options(part) for part in name.split("+")])
+    return mixed_engine(name, [_backend_with_options(part) for part in parts])
+
+
+def _parts(name: str) -> list[str]:
+    """Return the engines that a name joins; the sign of an exponent, as in 1e+06, joins nothing."""
+    return re.split(r"\+(?=[a-z])", name)
 
 
 def engine_title(name: str) -> str:
     """Return an engine's title, or the name itself if no such engine was ever known."""
-    if "+" in name:
-        return " and ".join(engine_title(part) for part in name.split("+"))
+    if len(parts := _parts(name)) > 1:
+        return " and ".join(map(engine_title, parts))
     bare, _, options = name.partition(":")
     if bare not in backend_names():
         return _FORMER.get(name, name)
@@ -72,7 +79,7 @@ def chosen_backends(name: str) -> list[str]:
             several engines.
     """
     installed = backend_names()
-    if "+" in name:
+    if len(_parts(name)) > 1:
         raise CdcsrError(
             f"Only training and demonstrations take several engines side by side; found {name!r}. "
             "Choose one engine, or all."
@@ -92,7 +99,7 @@ def engine_factory(name: str) -> Callable[[Robot, int], Simulation]:
     Raises:
         CdcsrError: no engine of that name is installed, or an option is wrong.
     """
-    if "+" in name:
+    if len(_parts(name)) > 1:
         return load_backend(name)
     kind, options = _backend_with_options(name)
     return lambda robot, num: kind(robot, num, options)
@@ -100,7 +107,7 @@ def engine_factory(name: str) -> Callable[[Robot, int], Simulation]:
 
 def switched_off(name: str) -> list[str]:
     """Return an engine's name with one of its own settings set to the description's, for each."""
-    if "+" in name:
+    if len(_parts(name)) > 1:
         return []
     bare, _, listed = name.partition(":")
     given = dict(pair.split("=") for pair in listed.split(",") if pair)

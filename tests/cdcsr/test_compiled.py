@@ -2,15 +2,14 @@
 
 from __future__ import annotations
 
-import os
-import shutil
 import subprocess
 import sys
 from pathlib import Path
 
 import pytest
 
-ROOT = Path(__file__).parents[2]
+from tests.support.paths import read_only_install
+
 KERNELS = """
 import numpy as np
 from backends.pybullet import cables, lcp, world
@@ -21,24 +20,9 @@ print(x.tolist(), lcp.factor.stats.cache_path)
 """
 
 
-def install(folder: Path) -> dict[str, str]:
-    """Copy the packages to where they cannot be written; return an environment without a home.
-
-    Files stand where Python would put compiled code, so that root cannot write there either.
-    """
-    for package in ("cdcsr", "backends", "controllers", "training"):
-        place = shutil.copytree(
-            ROOT / package, folder / package, ignore=shutil.ignore_patterns("__pycache__")
-        )
-        for each in (place, *(path for path in place.rglob("*") if path.is_dir())):
-            (each / "__pycache__").touch()
-    kept = {k: v for k, v in os.environ.items() if k not in ("NUMBA_CACHE_DIR", "PYTHONPATH")}
-    return {**kept, "PYTHONPATH": str(folder), "HOME": "/dev/null", "XDG_CACHE_HOME": "/dev/null/x"}
-
-
 @pytest.mark.parametrize("home", ["none", "cache folder"])
 def test_kernels_run_from_a_read_only_install(home: str, tmp_path: Path) -> None:
-    env = install(tmp_path / "installed")
+    env = read_only_install(tmp_path / "installed")
     if home == "cache folder":
         env["NUMBA_CACHE_DIR"] = str(tmp_path / "cache")
     done = subprocess.run(

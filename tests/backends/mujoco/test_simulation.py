@@ -5,6 +5,9 @@ from __future__ import annotations
 
 import copy
 import dataclasses
+import os
+import subprocess
+import sys
 from itertools import pairwise
 from pathlib import Path
 
@@ -105,3 +108,27 @@ def test_an_excess_is_taken_back_with_the_recovery_time(paper: Robot) -> None:
     assert excess[1] == pytest.approx(keep * 2e-3, rel=1e-3)
     for before, after in pairwise(excess):
         assert after < max(keep * before, 0) + 6e-6
+
+
+def test_pictures_without_a_display_fail_in_one_line_as_often_as_they_are_asked_for() -> None:
+    # A second start of OpenGL would end the process.
+    code = (
+        "from cdcsr.errors import CdcsrError\n"
+        "from cdcsr.robot.description import load_robot\n"
+        "from cdcsr.simulation.engines import make_simulation\n"
+        "for _ in range(2):\n"
+        "    simulation = make_simulation(load_robot('paper'), 'mujoco')\n"
+        "    try: simulation.render(0)\n"
+        "    except CdcsrError as error: print(error)\n"
+    )
+    env = {k: v for k, v in os.environ.items() if k not in ("DISPLAY", "WAYLAND_DISPLAY")}
+    done = subprocess.run(
+        [sys.executable, "-W", "ignore", "-c", code],
+        env=env | {"MUJOCO_GL": "glfw"},
+        capture_output=True,
+        text=True,
+        check=True,
+    )
+    first, second = done.stdout.splitlines()
+    assert first == second
+    assert first.startswith("MuJoCo cannot draw here: it found no OpenGL (set MUJOCO_GL to egl")
