@@ -58,7 +58,7 @@ def load_backend(name: str) -> type[Simulation]:
 
 def _parts(name: str) -> list[str]:
     """Return the engines that a name joins; the sign of an exponent, as in 1e+06, joins nothing."""
-    return re.split(r"\+(?=[a-z])", name)
+    return re.split(r"\+(?!\d)", name)
 
 
 def engine_title(name: str) -> str:
