@@ -42,6 +42,7 @@ _EXCESS = 5e-5
 """A step takes back an excess length up to this, in [m], at once, and a larger one with the
 recovery time. A step leaves less than this, by the curvature of the motion; more comes from a state
 or a rest length that was set from outside."""
+_MOST_ITERATIONS = 5000
 _TOGETHER = 4
 """The number of tries that change all wrong cables at once. No step was seen to need more than two,
 but such tries can cycle. Later ones change only the first wrong cable; for positive definite
@@ -59,6 +60,8 @@ def stepping_spec(robot: Robot) -> mujoco.MjSpec:
     spec = build_spec(robot)
     spec.option.integrator = mujoco.mjtIntegrator.mjINT_EULER
     spec.option.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_EULERDAMP)
+    # The solver ends long before, but where a taut cable holds its slider against the stop.
+    spec.option.iterations = _MOST_ITERATIONS
     for joint in spec.joints:
         joint.armature = robot.time_step * float(np.ravel(joint.damping)[0])
     for tendon, equality in zip(spec.tendons, spec.equalities, strict=True):
@@ -88,7 +91,7 @@ class Cables:
         self._recovering = False
         self._keep = 1 - robot.time_step / robot.constraint.recovery_time
         self._length, self._held = many.bind("ten_length"), many.bind("eq_active")
-        self._travel, self._push = _sliders(robot, many)
+        self._travel, self._push, self._stop = _sliders(robot, many)
 
     def set_rest_length(self, ids: NDArray[np.int64], offset: Array) -> None:
         """Make the cables of copies `ids` longer than described by `offset`, shape (n, C), in
@@ -102,11 +105,11 @@ class Cables:
         before = self._before
         before[:] = many.state
         # The constraint force on a slider is the tension of its own cable, upward while the slider
-        # is below the first guide.
+        # is below the first guide; that of its stop is downward.
         side = np.sign(self._slider_offset - self._travel)
         too_long = end + _TOO_LONG
         many.step(stage=CURRENT)
-        pull = self._push * side
+        pull = (self._push + self._stop) * side
         # The limit is only reached if curvature makes a cable seem wrong both ways; then either
         # will do.
         for tries in range(_TOGETHER + 2 * end.shape[1]):
@@ -121,7 +124,7 @@ class Cables:
             self._held[ids] = held
             many.forward(ids, stage=CURRENT)
             many.step(ids, stage=CURRENT)
-            pull = self._push * side
+            pull = (self._push + self._stop) * side
         np.maximum(pull, 0, out=self.tension)
 
     def _aim(self) -> Array:
@@ -153,7 +156,7 @@ class Limits:
         cables = robot.num_cables
         self.tension = np.zeros((many.nsim, cables))
         self._batch, self._slider_offset = many, routing(robot).slider_offset
-        self._travel, self._push = _sliders(robot, many)
+        self._travel, self._push, self._stop = _sliders(robot, many)
 
     def set_rest_length(self, ids: NDArray[np.int64], offset: Array) -> None:
         """Make the cables of copies `ids` longer than described by `offset`, shape (n, C), in
@@ -166,7 +169,7 @@ class Limits:
         """Advance all copies by one time step under the controls in the batch."""
         side = np.sign(self._slider_offset - self._travel)
         self._batch.step(stage=CURRENT)
-        np.maximum(self._push * side, 0, out=self.tension)
+        np.maximum((self._push + self._stop) * side, 0, out=self.tension)
 
 
 def base_size(robot: Robot) -> tuple[int, int]:
@@ -174,7 +177,9 @@ def base_size(robot: Robot) -> tuple[int, int]:
     return (7, 6) if robot.base.mount == "free" else (0, 0)
 
 
-def _sliders(robot: Robot, many: batch.Batch) -> tuple[Array, Array]:
-    """Return the sliders' part of the positions and of the constraint forces."""
+def _sliders(robot: Robot, many: batch.Batch) -> tuple[Array, Array, Array]:
+    """Return the sliders' part of the positions and of the constraint forces, and the part of these
+    that their stops have."""
     (q, v), cables = base_size(robot), robot.num_cables
-    return many.bind("qpos")[:, q : q + cables], many.bind("qfrc_constraint")[:, v : v + cables]
+    push, sensors = many.bind("qfrc_constraint")[:, v : v + cables], many.bind("sensordata")
+    return many.bind("qpos")[:, q : q + cables], push, sensors[:, sensors.shape[1] - cables :]

@@ -27,6 +27,8 @@ INTEGRATORS = {
     "discrete": mujoco.mjtIntegrator.mjINT_DISCRETE,
 }
 """MuJoCo's integrators, by their names in MJCF."""
+UNLIMITED = 1e6
+"""The travel in [m] of a slider away from its guide, where nothing stops it."""
 _TOUCH = 1e-9
 """MuJoCo sees a limit only once it is exceeded. The cables of the straight robot exceed it by this,
 in [m], so that in the first step a pull acts on the arm and not on a free slider."""
@@ -69,7 +71,7 @@ def build_spec(robot: Robot, meshes: Mapping[str, str] | None = None) -> mujoco.
     _add_sliders(base, robot, route, meshes)
     guides = _add_arm(base, robot, route, meshes)
     _add_cables(spec, robot, route, guides)
-    _add_sensors(spec)
+    _add_sensors(spec, robot)
     _add_scenery(spec, robot)
     return spec
 
@@ -124,6 +126,8 @@ def _add_sliders(
             type=mujoco.mjtJoint.mjJNT_SLIDE,
             axis=[0, 0, 1],
             damping=servo.damping,
+            limited=mujoco.mjtLimited.mjLIMITED_TRUE,
+            range=[-UNLIMITED, servo.stop],
         )
         slider.add_site(name=f"pull_{c}", size=[0.002, 0, 0])
         _draw(slider, meshes, parts[c], mujoco.mjtGeom.mjGEOM_SPHERE, [servo.radius], _STEEL)
@@ -197,7 +201,7 @@ def _add_cables(spec: mujoco.MjSpec, robot: Robot, route: Routing, guides: list[
     impedance = robot.mujoco.impedance
     solimp = [impedance, impedance, 0.001, 0.5, 2]
     for joint in spec.joints:
-        if joint.type == mujoco.mjtJoint.mjJNT_HINGE:
+        if joint.type != mujoco.mjtJoint.mjJNT_FREE:
             joint.solref_limit, joint.solimp_limit = solref, solimp
     for c, servo in enumerate(robot.servos):
         tendon = spec.add_tendon(
@@ -231,9 +235,9 @@ def _add_cables(spec: mujoco.MjSpec, robot: Robot, route: Routing, guides: list[
         actuator.set_to_position(kp=servo.gain)
 
 
-def _add_sensors(spec: mujoco.MjSpec) -> None:
+def _add_sensors(spec: mujoco.MjSpec, robot: Robot) -> None:
     """Add what State needs and qpos and qvel do not hold, in the order in which simulation.py
-    reads it."""
+    reads it; last the forces of the sliders' stops, which active_cables.py reads."""
     sensor, site, body = mujoco.mjtSensor, mujoco.mjtObj.mjOBJ_SITE, mujoco.mjtObj.mjOBJ_XBODY
     spec.add_sensor(name="tip_position", type=sensor.mjSENS_FRAMEPOS, objtype=site, objname="tip")
     spec.add_sensor(
@@ -242,6 +246,13 @@ def _add_sensors(spec: mujoco.MjSpec) -> None:
     spec.add_sensor(
         name="base_angular_velocity", type=sensor.mjSENS_FRAMEANGVEL, objtype=body, objname="base"
     )
+    for c in range(robot.num_cables):
+        spec.add_sensor(
+            name=f"stop_{c}",
+            type=sensor.mjSENS_JOINTLIMITFRC,
+            objtype=mujoco.mjtObj.mjOBJ_JOINT,
+            objname=f"slide_{c}",
+        )
 
 
 def _add_scenery(spec: mujoco.MjSpec, robot: Robot) -> None:

@@ -134,7 +134,7 @@ def _variants(robot: Robot) -> dict[str, _Variant]:
         "Jacobian sparse": _Variant(_option(jacobian=_JACOBIAN.mjJAC_SPARSE)),
         "gravity and control clamps skipped": _Variant(_skip_unused),
         "no visual geoms": _Variant(_without_geoms),
-        "no sensors": _Variant(_without_sensors),
+        "no sensors but those of stops": _Variant(_without_sensors),
         "MuJoCo's own soft limits": _Variant(_nothing, build_spec, Limits),
         "soft limits, integrator implicit": _Variant(
             _option(integrator=_INTEGRATOR.mjINT_IMPLICIT), build_spec, Limits
@@ -175,7 +175,8 @@ def _without_geoms(spec: mujoco.MjSpec) -> None:
 
 def _without_sensors(spec: mujoco.MjSpec) -> None:
     for sensor in list(spec.sensors):
-        spec.delete(sensor)
+        if not sensor.name.startswith("stop_"):
+            spec.delete(sensor)
 
 
 # -- other routes of the cables --------------------------------------------------------------------

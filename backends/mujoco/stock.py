@@ -68,8 +68,9 @@ class MujocoStock(BatchSimulation):
 
 
 def _set_default_softness(spec: mujoco.MjSpec) -> None:
-    """Give the limits of joints and tendons the softness that they have in an empty MjSpec."""
+    """Give the limits of hinges and tendons the softness that they have in an empty MjSpec."""
     empty = mujoco.MjSpec()
     joint, tendon = empty.worldbody.add_body().add_joint(), empty.add_tendon()
-    for limited, default in [(x, joint) for x in spec.joints] + [(x, tendon) for x in spec.tendons]:
+    hinges = [x for x in spec.joints if x.type == mujoco.mjtJoint.mjJNT_HINGE]
+    for limited, default in [(x, joint) for x in hinges] + [(x, tendon) for x in spec.tendons]:
         limited.solref_limit, limited.solimp_limit = default.solref_limit, default.solimp_limit

@@ -15,8 +15,9 @@ An explicit damper c oscillates where h c exceeds the inertia that it acts on. S
 bent by nearly a right angle, which its first hinge then turns about its own thin axis. There, and
 only there, the damper is made implicit: M + h c takes the place of M, and -h c a is a torque more.
 
-Hinge limits are Bullet's. A hinge that is past its limit has a row in the problem, because Bullet's
-push there changes the tensions; but only tensions are handed on.
+Limits are Bullet's, of hinges and of sliders at their stops. A joint that is past its limit has a
+row in the problem, because Bullet's push there changes the tensions; but only tensions are handed
+on.
 
 Coordinates are Bullet's: base angular, base linear, sliders, hinges, with the base's in the base's
 frame. No cable touches the base, so nothing has to be turned.
@@ -38,7 +39,7 @@ from cdcsr.simulation.plant import Plant
 Array = NDArray[np.float64]
 
 LIMIT_RECOVERY = 0.2
-"""The part of the excess that Bullet takes back in a step from a hinge past its limit. A hinge that
+"""The part of the excess that Bullet takes back in a step from a joint past its limit. A joint that
 has not passed it yet moves freely."""
 
 _crossing = compiled()(crossing)
@@ -58,7 +59,8 @@ class Rig(NamedTuple):
     slider_mass: Array
     """Shape (C,), in [kg]."""
     limit: Array
-    """The largest angle of each hinge, shape (2 J,), in [rad]."""
+    """The largest travel of each slider in [m], then angle of each hinge to either side in [rad],
+    shape (C + 2 J,)."""
     recovery_time: float
     """The time constant with which an excess of length decays, in [s]."""
 
@@ -73,7 +75,7 @@ def rig(robot: Robot) -> Rig:
         joints=route.joints,
         slider_offset=route.slider_offset,
         slider_mass=np.array([servo.mass for servo in robot.servos]),
-        limit=np.array([joint.limit for joint in hinges]),
+        limit=np.array([servo.stop for servo in robot.servos] + [joint.limit for joint in hinges]),
         recovery_time=robot.constraint.recovery_time,
     )
 
@@ -177,8 +179,10 @@ def joint_forces(
     force[:cables] = 0.0
     force[cables:] = -plant.stiffness[copy] * hinges
 
-    # Rows of `whole`: the mass matrix, what drives, the cables, the limits of hinges past them.
-    limited = np.flatnonzero(np.abs(hinges) > rig.limit)
+    # Rows of `whole`: the mass matrix, what drives, the cables, the limits of joints past them.
+    past = np.abs(joints) > rig.limit
+    past[:cables] = joints[:cables] > rig.limit[:cables]  # nothing stops a slider on its way down
+    limited = np.flatnonzero(past)
     count = cables + limited.size
     whole = np.zeros((size + 1 + count, size))
     rows = whole[size + 1 :, 6:]
@@ -188,8 +192,8 @@ def joint_forces(
         gap = plant.rest_length_offset[copy, c] - excess[c]
         slack[c] = gap / (step if gap >= 0 else rig.recovery_time)
     for i, k in enumerate(limited):
-        rows[cables + i, cables + k] = np.sign(hinges[k])
-        slack[cables + i] = LIMIT_RECOVERY * (rig.limit[k] - abs(hinges[k])) / step
+        rows[cables + i, k] = np.sign(joints[k])
+        slack[cables + i] = LIMIT_RECOVERY * (rig.limit[k] - abs(joints[k])) / step
     for i in range(count):
         for k in range(velocity.size):
             slack[i] -= rows[i, k] * velocity[k]

@@ -18,6 +18,9 @@ MOST_JOINTS = 127
 MAX_JOINT_SPEED = 1e9
 """Bullet clamps joint speeds, in [m/s] and [rad/s], at 100 by default. No speed that is not a
 failure comes near this one."""
+_STOP_FORCE = 1e9
+"""The most that a slider's stop pushes, in [N]. Bullet's default, an impulse of 100 N s in a step,
+does not stop an arm that is swung against a short cable."""
 
 
 def connect(robot: Robot, substeps: int = 1) -> int:
@@ -43,8 +46,8 @@ def connect(robot: Robot, substeps: int = 1) -> int:
 def load_robot_body(robot: Robot, client: int) -> int:
     """Load one copy, straight and at rest at the origin.
 
-    It keeps Bullet's joint damping and its limits of the hinges. No other damping, no motors and no
-    contacts act on it.
+    It keeps Bullet's joint damping and its limits of hinges and sliders. No other damping, no
+    motors and no contacts act on it.
 
     Args:
         robot: the description.
@@ -83,10 +86,8 @@ def load_robot_body(robot: Robot, client: int) -> int:
             f"PyBullet read the joints of {robot.name} in another order than written: {found}."
         )
     damp_and_clamp(client, body, 0.0, MAX_JOINT_SPEED)
-    for slider in range(robot.num_cables):  # an inverted range: the description has no limit here
-        pybullet.changeDynamics(
-            body, slider, jointLowerLimit=1.0, jointUpperLimit=-1.0, physicsClientId=client
-        )
+    for slider in range(robot.num_cables):
+        pybullet.changeDynamics(body, slider, jointLimitForce=_STOP_FORCE, physicsClientId=client)
     pybullet.setJointMotorControlArray(
         body, range(count), pybullet.VELOCITY_CONTROL, forces=[0.0] * count, physicsClientId=client
     )

@@ -26,7 +26,8 @@ SEGMENT_COLORS = (
     (0.55, 0.38, 0.66, 1.0),
 )
 UNLIMITED = 1e6
-"""The effort and velocity limits, which URDF demands and the description does not have."""
+"""The limits that URDF demands and the description does not have: effort, velocity, and the travel
+of a slider away from its guide."""
 
 
 def joint_names(robot: Robot) -> list[str]:
@@ -58,7 +59,7 @@ def urdf(robot: Robot, mesh_files: Mapping[str, str] | None = None) -> str:
         name, moment = f"slider_{c}", 0.4 * servo.mass * servo.radius**2
         ball = ("sphere", {"radius": _text(servo.radius)})
         model.link(name, servo.mass, (moment, moment, moment), ball, SLIDER_COLOR)
-        joint = ("prismatic", "0 0 1", UNLIMITED, servo.damping)
+        joint = ("prismatic", "0 0 1", (-UNLIMITED, servo.stop), servo.damping)
         model.joint(f"slide_{c}", joint, "base", name, tuple(place))
 
     segment_of = [s for s, segment in enumerate(robot.segments) for _ in range(segment.links)]
@@ -67,12 +68,13 @@ def urdf(robot: Robot, mesh_files: Mapping[str, str] | None = None) -> str:
         cross, own = f"cross_{j}", f"link_{j}"
         ball = ("sphere", {"radius": _text(1.15 * part.radius)})
         model.link(cross, 0.0, (0.0, 0.0, 0.0), ball, CROSS_COLOR)
-        joint = ("revolute", "1 0 0", hinge.limit, hinge.damping)
+        limits = -hinge.limit, hinge.limit
+        joint = ("revolute", "1 0 0", limits, hinge.damping)
         model.joint(f"hinge_{j}_x", joint, parent, cross, (0, 0, height))
         cylinder = ("cylinder", {"radius": _text(part.radius), "length": _text(part.length)})
         color = SEGMENT_COLORS[segment_of[j] % len(SEGMENT_COLORS)]
         model.link(own, part.mass, part.inertia, cylinder, color, part.length / 2)
-        joint = ("revolute", "0 1 0", hinge.limit, hinge.damping)
+        joint = ("revolute", "0 1 0", limits, hinge.damping)
         model.joint(f"hinge_{j}_y", joint, cross, own, (0, 0, 0))
         parent, height = own, part.length
     ET.indent(model.root)  # Bullet's parser fails on very long lines
@@ -116,20 +118,20 @@ class _Model:
     def joint(
         self,
         name: str,
-        joint: tuple[str, str, float, float],
+        joint: tuple[str, str, tuple[float, float], float],
         parent: str,
         child: str,
         place: tuple[float, ...],
     ) -> None:
-        """Add a joint at `place` in the parent's frame; `joint` is type, axis, limit and
+        """Add a joint at `place` in the parent's frame; `joint` is type, axis, limits and
         damping."""
-        kind, axis, limit, damping = joint
+        kind, axis, (lower, upper), damping = joint
         element = ET.SubElement(self.root, "joint", name=name, type=kind)
         ET.SubElement(element, "parent", link=parent)
         ET.SubElement(element, "child", link=child)
         ET.SubElement(element, "origin", xyz=_text(*place), rpy="0 0 0")
         ET.SubElement(element, "axis", xyz=axis)
-        limits = {"lower": _text(-limit), "upper": _text(limit)}
+        limits = {"lower": _text(lower), "upper": _text(upper)}
         limits |= {"effort": _text(UNLIMITED), "velocity": _text(UNLIMITED)}
         ET.SubElement(element, "limit", limits)
         ET.SubElement(element, "dynamics", damping=_text(damping), friction="0")

@@ -36,6 +36,12 @@ def errors_between_sections(data: Any) -> Iterator[InitErrorDetails]:
         return
     height = number("base", "size", 2)
     for i in range(count):
+        slider = ("segments", i, "servo", "offset")
+        ball, below = number("segments", i, "servo", "radius"), number(*slider)
+        if ball and below and below <= ball:
+            yield error(
+                slider, f"puts the slider into its guide: must be above its radius ({ball:g} m)"
+            )
         place = ("segments", i, "cables", "guide_offset")
         offset = number(*place)
         if offset is None:
@@ -57,9 +63,8 @@ def errors_between_sections(data: Any) -> Iterator[InitErrorDetails]:
                     f"segments[{j}].backbone.length / links ({rod / links / 4:g} m)",
                 )
                 break
-        below = number("segments", i, "servo", "offset")
         if height and below is not None and offset + below > height:
             yield error(
-                ("segments", i, "servo", "offset"),
+                slider,
                 f"puts the slider outside the base: must be at most {height - offset:g} m",
             )

@@ -38,7 +38,12 @@ class Servo(Part):
     radius: Positive
     """The slider is a solid ball of this radius, in [m]."""
     offset: Positive
-    """Distance of the slider at rest below the cable's first guide, in [m]."""
+    """Distance of the slider at rest below the cable's first guide, in [m]; above its radius."""
+
+    @property
+    def stop(self) -> float:
+        """The travel at which the slider touches the cable's first guide and stops, in [m]."""
+        return self.offset - self.radius
 
 
 class Segment(Part):

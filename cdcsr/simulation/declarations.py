@@ -37,7 +37,7 @@ class Physics:
     cables: str = _UNKNOWN
     """How cables are kept from getting longer than at rest."""
     limits: str = _UNKNOWN
-    """How a hinge is stopped at its limit."""
+    """How a hinge is stopped at its limit, and a slider at its guide."""
     servos: str = _UNKNOWN
     """How a slider is pulled to its set-point."""
     damping: str = _UNKNOWN

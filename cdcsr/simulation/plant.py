@@ -83,14 +83,14 @@ class Parameters:
         hinges = np.array([(hinge.stiffness, hinge.damping) for hinge in robot.hinges])
         of_hinge = list(robot.link_of_hinge)
         slider_damping, gain, room = (
-            np.array([(s.damping, s.gain, s.offset) for s in robot.servos], dtype=float)
+            np.array([(s.damping, s.gain, s.stop) for s in robot.servos], dtype=float)
             .reshape(-1, 3)
             .T
         )
         offset = self._values("rest_length_offset", num, robot.num_cables)
-        if not (offset > -room).all():
+        if not (offset >= -room).all():
             raise CdcsrError(
-                f"rest_length_offset must be above {-room.min():g} m, where the slider would meet "
+                f"rest_length_offset must be at least {-room.min():g} m, where the slider meets "
                 f"its guide; found {offset.min():g} m."
             )
         stiffness = self._factors("joint_stiffness", num, robot.num_links, zero=True)

@@ -50,8 +50,8 @@ class Randomization:
 
     def __init__(self, robot: Robot, num: int, scale: float, rng: np.random.Generator) -> None:
         check_scale(scale)
-        shortest = min(servo.offset for servo in robot.servos)
-        if scale * REST_LENGTH_OFFSET >= shortest:
+        shortest = min(servo.stop for servo in robot.servos)
+        if scale * REST_LENGTH_OFFSET > shortest:
             raise CdcsrError(
                 f"A randomization of {scale:g} shortens cables by up to "
                 f"{scale * REST_LENGTH_OFFSET:g} m, and the sliders of {robot.name!r} have room "

@@ -73,7 +73,7 @@ def robots(draw: st.DrawFn) -> Robot:
                     "gain": draw(between(5, 100)),
                     "eta": draw(between(0.1, 5)),
                     "radius": draw(between(0.005, 0.05)),
-                    "offset": draw(between(0.3, 0.99)) * (height - offset),
+                    "offset": max(draw(between(0.3, 0.99)) * (height - offset), 0.06),
                 },
             }
         )

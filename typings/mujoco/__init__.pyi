@@ -49,6 +49,7 @@ class mjtJacobian(_Enum):
     mjJAC_SPARSE: ClassVar[Self]
 
 class mjtJoint(_Enum):
+    mjJNT_FREE: ClassVar[Self]
     mjJNT_HINGE: ClassVar[Self]
     mjJNT_SLIDE: ClassVar[Self]
 
@@ -61,6 +62,7 @@ class mjtLimited(_Enum):
 
 class mjtObj(_Enum):
     mjOBJ_XBODY: ClassVar[Self]
+    mjOBJ_JOINT: ClassVar[Self]
     mjOBJ_SITE: ClassVar[Self]
     mjOBJ_TENDON: ClassVar[Self]
 
@@ -68,6 +70,7 @@ class mjtSensor(_Enum):
     mjSENS_FRAMEPOS: ClassVar[Self]
     mjSENS_FRAMELINVEL: ClassVar[Self]
     mjSENS_FRAMEANGVEL: ClassVar[Self]
+    mjSENS_JOINTLIMITFRC: ClassVar[Self]
 
 class mjtSolver(_Enum):
     mjSOL_PGS: ClassVar[Self]

@@ -95,7 +95,7 @@ def test_workers_and_threads_have_the_parameters_too(paper: Robot) -> None:
         ),
         ({"joint_stiffness": np.nan}, "joint_stiffness must be finite"),
         ({"base_mass": "heavy"}, "base_mass must be a number or an array of numbers"),
-        ({"rest_length_offset": -0.2}, "rest_length_offset must be above -0.2 m"),
+        ({"rest_length_offset": -0.2}, "rest_length_offset must be at least -0.19 m"),
         ({"command_delay": 1.5}, "command_delay counts whole steps, from 0 to"),
         ({"command_delay": -1}, "command_delay counts whole steps, from 0 to"),
         ({"command_delay": MAX_DELAY + 1}, "command_delay counts whole steps, from 0 to"),

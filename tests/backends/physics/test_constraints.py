@@ -6,11 +6,22 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 import numpy as np
+import pytest
 
-from cdcsr.robot.description import Robot
+from cdcsr.robot.description import Robot, load_robot
 from cdcsr.robot.routing import cable_lengths, routing
 from cdcsr.simulation.contract import Array, Simulation, State
-from tests.support.physics import STRETCH, changed, commands_of, moving, running, slack, stretch
+from cdcsr.simulation.plant import Parameters
+from tests.support.physics import (
+    STRETCH,
+    changed,
+    commands_of,
+    moving,
+    running,
+    slack,
+    stretch,
+    with_parts,
+)
 
 PULL = 250.0
 """No servo pulls harder, in [N]."""
@@ -57,6 +68,41 @@ def test_a_moving_robot_does_not_stretch_its_cables(robot: Robot, stiff_engine: 
             most, before = max(most, -after.min()), after
     assert torn > 20
     assert most <= STRETCH
+
+
+@pytest.mark.parametrize("room", ["a short offset", "short cables"])
+def test_a_slider_stops_at_its_guide(engine: str, room: str) -> None:
+    """A cable that is paid out to its end holds the arm.
+
+    One cable pulls in full, and the arm pays the opposite one out. Past the guide a cable would get
+    longer again where the equations of a step take it to get shorter: here by 294 mm.
+    """
+    robot = load_robot("planar-single")
+    robot = with_parts(robot, servo={"offset": 0.05} if room == "a short offset" else {})
+    short = 0.0 if room == "a short offset" else -0.15
+    eta, below, radius = robot.servos[0].eta, robot.servos[0].offset, robot.servos[0].radius
+    highest, most = -1.0, 0.0
+    with running(robot, engine, robot.num_cables) as simulation:
+        simulation.set_parameters(None, Parameters(rest_length_offset=short))
+        simulation.reset()
+        for _ in range(200):
+            simulation.step(-eta * np.eye(robot.num_cables))
+            highest = max(highest, simulation.state().cable_travel.max() - below)
+            most = max(most, (-slack(robot, simulation) - short).max())
+    assert -1.01 * radius < highest < -0.9 * radius
+    if "soft_cables" not in simulation.capabilities:
+        assert most < 5e-5
+
+
+def test_a_slider_comes_to_rest_at_its_guide(engine: str) -> None:
+    """Set-points past the guide push a slider, and no cable pulls it; Bullet lets it bounce."""
+    robot = load_robot("planar-single")
+    with running(robot, engine) as simulation:
+        simulation.step(np.full((1, robot.num_cables), 5.0), 1000)
+        state = simulation.state()
+    stop = robot.servos[0].offset - robot.servos[0].radius
+    np.testing.assert_allclose(state.cable_travel, stop, atol=1e-3)
+    assert state.cable_tension.max() < 1e-6
 
 
 def test_cables_pass_on_all_the_work(robot: Robot, stiff_engine: str) -> None:

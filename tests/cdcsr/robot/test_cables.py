@@ -5,7 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from cdcsr.robot.description import Robot, load_robot, shipped_robots
+from cdcsr.errors import CdcsrError
+from cdcsr.robot.description import Robot, load_robot, parse_robot, shipped_robots
 from cdcsr.robot.routing import Array, cable_jacobian, cable_lengths, routing
 
 
@@ -140,3 +141,12 @@ def test_batches_give_the_same_as_single_states(robot: Robot) -> None:
         np.testing.assert_allclose(
             jacobians[i], cable_jacobian(route, travel[i], hinges[i]), atol=1e-16
         )
+
+
+def test_a_slider_has_room_below_its_guide() -> None:
+    text = load_robot("planar-single").to_toml()
+    short = text.replace("offset = 0.2\n", "offset = 0.01\n")
+    message = r"puts the slider into its guide: must be above its radius \(0\.01 m\)"
+    with pytest.raises(CdcsrError, match=message):
+        parse_robot(short)
+    assert parse_robot(text.replace("offset = 0.2\n", "offset = 0.011\n")).servos[0].stop < 0.0011

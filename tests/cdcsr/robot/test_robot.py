@@ -68,6 +68,7 @@ def robots(draw: st.DrawFn) -> Robot:
     segments = []
     for i, length in enumerate(lengths):
         offset = draw(st.floats(0.01, 0.49)) * min(*lengths[: i + 1], height, 1.0)
+        below = draw(st.floats(0.01, 0.99)) * (height - offset)
         segments.append(
             {
                 "links": draw(st.integers(1, 8)),
@@ -91,8 +92,8 @@ def robots(draw: st.DrawFn) -> Robot:
                     "damping": draw(st.floats(0, 100)),
                     "gain": draw(positive()),
                     "eta": draw(positive()),
-                    "radius": draw(positive()),
-                    "offset": draw(st.floats(0.01, 0.99)) * (height - offset),
+                    "radius": draw(st.floats(0.01, 0.99)) * below,
+                    "offset": below,
                 },
             }
         )

@@ -108,6 +108,6 @@ def test_cables_shorter_than_their_sliders_room_are_refused(robot: Robot) -> Non
         update={"own_servo": segment.servo.model_copy(update={"offset": 0.03})}
     )
     with pytest.raises(
-        CdcsrError, match=r"by up to 0\.04 m, and the sliders .* have room for 0\.03 m"
+        CdcsrError, match=r"by up to 0\.04 m, and the sliders .* have room for 0\.02 m"
     ):
         _randomization(robot.model_copy(update={"segments": (tight, *robot.segments[1:])}), 1, 2.0)
