@@ -11,17 +11,20 @@ import json
 import os
 import stat
 import sys
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager, suppress
+from functools import cache
 from pathlib import Path
 from typing import Any
 
 from cdcsr.errors import CdcsrError, cannot_write
 from cdcsr.leftovers import sweep, temporary_beside
-from cdcsr.reading import read_text
+from cdcsr.reading import MOST_RECORD, digest, read_text
 
 JsonObject = dict[str, Any]
 """An object read from JSON; whoever reads it knows its values."""
+SEAL = "content_digest"
+"""The key of a record's digest."""
 
 
 def write_bytes(path: Path, data: bytes) -> None:
@@ -92,18 +95,53 @@ def write_json(path: Path, data: object) -> None:
 
 
 def read_json(path: Path) -> JsonObject:
-    """Return the object in a JSON file.
+    """Return the object in a JSON file, without its digest if it has one.
 
     Raises:
-        CdcsrError: the file cannot be read, or holds no JSON object.
+        CdcsrError: the file cannot be read, holds no JSON object, or has not the content that its
+            digest was made of.
     """
     try:
-        data = json.loads(read_text(path))
+        data = json.loads(read_text(path, most=MOST_RECORD))
     except (ValueError, RecursionError) as error:
         raise CdcsrError(f"{path} cannot be read ({error}).") from None
     if not isinstance(data, dict):
         raise CdcsrError(f"{path} cannot be read (it should hold a JSON object).")
-    return data
+    if not _is_whole(data):
+        raise CdcsrError(
+            f"{path} is damaged: its content has not the digest that it had when it was written; "
+            "copy it again, or make it again."
+        )
+    return {key: value for key, value in data.items() if key != SEAL}
+
+
+def sealed(data: Mapping[str, object]) -> dict[str, object]:
+    """Return data of a record with a digest of it, which :func:`read_json` checks and removes."""
+    plain = json.loads(json.dumps(data, allow_nan=False, default=_plain))
+    return {**plain, SEAL: _content_digest(plain)}
+
+
+def _is_whole(data: JsonObject) -> bool:
+    """Return whether data have the digest in them; those of older versions have none."""
+
+    def is_digest(key: str) -> bool:
+        return data[key] == _content_digest({k: v for k, v in data.items() if k != key})
+
+    if SEAL in data:
+        return is_digest(SEAL)
+    # A digest under another key is one whose key was damaged.
+    texts = (key for key, value in data.items() if isinstance(value, str) and len(value) == 16)
+    return not any(map(is_digest, texts))
+
+
+def _content_digest(plain: Mapping[str, object]) -> str:
+    return digest(json.dumps(plain, sort_keys=True).encode())
+
+
+@cache
+def note(message: str) -> None:
+    """Tell the user what is no error, in a line apart from results, once in a process."""
+    print(f"cdcsr: note: {message}", file=sys.stderr)
 
 
 def refuse_unwritable(path: Path) -> None:

@@ -12,7 +12,7 @@ from itertools import count
 from pathlib import Path
 
 from cdcsr.errors import CdcsrError, cannot_write
-from cdcsr.files import read_json, write_json
+from cdcsr.files import read_json, sealed, write_json
 from cdcsr.leftovers import remove, sweep, temporary_beside
 from cdcsr.locks import Busy, lock, release_dead_locks
 
@@ -129,9 +129,9 @@ class WorkingFolder:
                 self._delete_results(folder)
             record = folder / self.record
             if identity is not None:
-                write_json(record, identity)
+                write_json(record, sealed(identity))
             elif not record.exists():
-                write_json(record, {})
+                write_json(record, sealed({}))
             yield
 
     def check(

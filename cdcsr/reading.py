@@ -10,7 +10,9 @@ from pathlib import Path
 from cdcsr.errors import CdcsrError
 
 MOST_TEXT = 1 << 20
-"""The largest description, card or record, in bytes. The largest that ships has 6 kB."""
+"""The largest description, in bytes. The largest that ships has 6 kB."""
+MOST_RECORD = 1 << 24
+"""The largest card or record, in bytes; 10,000 demonstrations make a card of 1 MB."""
 MOST_TABLE = 1 << 28
 """The largest table, dataset or map, in bytes."""
 _NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_.:=,+-]{0,199}")

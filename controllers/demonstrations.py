@@ -7,6 +7,7 @@ import hashlib
 import io
 from collections.abc import Sequence
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import gymnasium
 import numpy as np
@@ -15,7 +16,11 @@ from cdcsr.envs.gym_env import TaskVectorEnv
 from cdcsr.errors import CdcsrError
 from cdcsr.tasks.observation import TARGET
 from controllers.controller import Controller
+from controllers.dataset_files import no_demonstrations, read_metadata, seal_dataset
 from controllers.rollout import Episode, rollout
+
+if TYPE_CHECKING:
+    from minari import EpisodeData
 
 
 def digest(episodes: Sequence[Episode]) -> str:
@@ -65,10 +70,11 @@ def record(
 
 
 def save(
-    folder: Path, episodes: list[Episode], env: TaskVectorEnv, controller: str, dataset_id: str
+    folder: Path, episodes: list[Episode], env: TaskVectorEnv, controller: str, name: str
 ) -> None:
-    """Write a Minari dataset (hdf5) into an existing, empty folder.
+    """Write a Minari dataset (hdf5) with the id `name` into an existing, empty folder.
 
+    The robot's description is in it, in the metadata and in the environment that Minari recovers.
     HDF5 ends the process when a disk is full, so it writes into memory.
 
     Raises:
@@ -82,7 +88,7 @@ def save(
     spec = copy.deepcopy(gymnasium.spec(f"cdcsr/{env.task.kind.capitalize()}-v0"))
     spec.kwargs = {
         "task": env.task.name,
-        "robot": env.robot.name,
+        "robot": env.robot.to_toml(),
         "backend": env.backend,
         "space": env.space.name,
         "start": env.start,
@@ -93,13 +99,14 @@ def save(
     )
     storage.update_metadata(
         {
-            "dataset_id": dataset_id,
+            "dataset_id": name,
             "minari_version": minari.__version__,
             "algorithm_name": controller,
             "description": f"Successful episodes of {env.task.name!r} by a cable-driven continuum "
             "space robot.",
             "robot": env.robot.name,
             "robot_fingerprint": env.robot.fingerprint,
+            "robot_description": env.robot.to_toml(),
             "task": env.task.name,
             "backend": env.backend,
             "space": env.space.name,
@@ -126,6 +133,7 @@ def save(
     storage.update_episodes(buffers)
     path.write_bytes(content.getvalue())
     storage.update_metadata({"dataset_size": storage.get_size()})
+    seal_dataset(folder)
 
 
 def load(
@@ -150,14 +158,16 @@ def load(
     from minari import MinariDataset
 
     try:
+        metadata = read_metadata(folder)
         dataset = MinariDataset(folder / "data")
-        metadata = dataset.storage.metadata
         found = metadata["robot_fingerprint"], metadata["frame_skip"], metadata["task"]
         stored = list(dataset.iterate_episodes())
-    except (OSError, KeyError, ValueError, AssertionError) as error:
-        raise CdcsrError(
-            f"{folder} holds no demonstrations made by `cdcsr demonstrate`: {error}."
-        ) from None
+        _check_shapes(stored)
+    except CdcsrError:
+        raise
+    # A damaged file of an older version, without digests, fails in many ways.
+    except Exception as error:
+        raise no_demonstrations(folder, error) from None
     if found[0] != robot_fingerprint:
         raise CdcsrError(
             f"The demonstrations in {folder} are of robot {metadata['robot']!r} ({found[0]}), not "
@@ -189,3 +199,22 @@ def load(
         )
         for e in stored
     ]
+
+
+def _check_shapes(stored: Sequence[EpisodeData]) -> None:
+    """Check that arrays belong together and are finite.
+
+    Raises:
+        ValueError: they are not.
+    """
+    if not stored:
+        raise ValueError("it has no episodes")
+    for number, episode in enumerate(stored):
+        seen, done = np.asarray(episode.observations), np.asarray(episode.actions)
+        paid, ends = np.asarray(episode.rewards), np.asarray(episode.terminations)
+        length = len(done)
+        shapes = (seen.shape[:1], done.shape[:1], paid.shape, ends.shape)
+        if not length or shapes != ((length + 1,), (length,), (length,), (length,)):
+            raise ValueError(f"the arrays of episode {number} have the lengths {shapes}")
+        if not all(np.isfinite(rows).all() for rows in (seen, done, paid)):
+            raise ValueError(f"episode {number} has numbers that are not finite")

@@ -78,7 +78,8 @@ def compute_workspace(
             "take a smaller --spacing or move the robot's workspace."
         )
     edges = np.where(wide, spacing, 0.0)
-    return Workspace(robot.fingerprint, middle, edges, cells.astype(np.int16))
+    index = cells.astype(np.int16)
+    return Workspace(robot.fingerprint, middle, edges, index, robot.to_toml())
 
 
 def draw_workspace(workspace: Workspace, robot: Robot, path: Path) -> None:

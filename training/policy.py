@@ -9,11 +9,11 @@ targets of the demonstrations and how it was trained. Nothing is ever unpickled.
 from __future__ import annotations
 
 import hashlib
-import json
 from collections.abc import Iterable
 from copy import copy
 from importlib import resources
 from importlib.metadata import version
+from itertools import pairwise
 from pathlib import Path
 from typing import get_args
 
@@ -21,11 +21,12 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 from safetensors import SafetensorError
-from safetensors.torch import load_file, save
+from safetensors.torch import load, save
 
 from cdcsr.errors import CdcsrError, unknown_choice
-from cdcsr.files import JsonObject, write_bytes, write_json
-from cdcsr.robot.description import Robot, parse_robot
+from cdcsr.files import JsonObject, note, read_json, sealed, write_bytes, write_json
+from cdcsr.reading import MOST_TABLE, digest, read_bytes
+from cdcsr.robot.description import Robot, differences, parse_robot
 from cdcsr.simulation.contract import State
 from cdcsr.tasks.observation import observe
 from cdcsr.tasks.starts import start_name
@@ -35,6 +36,7 @@ from training.networks.actor import Activation, Actor
 Array = NDArray[np.float64]
 
 _WEIGHTS, _CARD = "policy.safetensors", "policy.json"
+_MOST_LAYERS = 64
 _FORMATS = {False: 1, True: 2}
 """The file format, by whether the network has mirror symmetry. Older versions refuse 2."""
 
@@ -80,7 +82,8 @@ class Policy(Controller):
         if robot.fingerprint != self.robot.fingerprint:
             raise CdcsrError(
                 f"The policy {self.name!r} is for robot {self.robot.name!r} "
-                f"({self.robot.fingerprint}), not for {robot.name!r} ({robot.fingerprint})."
+                f"({self.robot.fingerprint}), not for {robot.name!r} ({robot.fingerprint}): "
+                f"{differences(self.robot, robot)}."
             )
         self._checked = robot
 
@@ -126,8 +129,9 @@ class Policy(Controller):
             },
             "versions": versions(),
         }
-        write_bytes(folder / _WEIGHTS, save(self._weights()))
-        write_json(folder / _CARD, card)
+        weights = save(self._weights())
+        write_bytes(folder / _WEIGHTS, weights)
+        write_json(folder / _CARD, sealed({**card, "weights_digest": digest(weights)}))
 
 
 def versions() -> dict[str, str]:
@@ -146,7 +150,8 @@ def load_policy(folder: Path) -> Policy:
             f"{folder} holds no policy: {_CARD} and {_WEIGHTS} are needed (made by `cdcsr train`)."
         )
     try:
-        card = json.loads((folder / _CARD).read_text("utf-8"))
+        card = read_json(folder / _CARD)
+        weights = _read_weights(folder / _WEIGHTS, card)
         if card["format"] not in _FORMATS.values():
             raise CdcsrError(
                 f"{folder / _CARD} has format {card['format']}; this version reads formats 1 and 2."
@@ -157,6 +162,7 @@ def load_policy(folder: Path) -> Policy:
                 f"{folder / _CARD}: the robot's description does not match its fingerprint."
             )
         network = card["network"]
+        _check_size(network["hidden"], len(weights))
         symmetry = card["format"] == _FORMATS[True]
         actor = Actor(
             robot,
@@ -165,7 +171,7 @@ def load_policy(folder: Path) -> Policy:
             network["activation"],
             symmetry,
         )
-        actor.load_state_dict(load_file(folder / _WEIGHTS))
+        actor.load_state_dict(load(weights))
         centers = np.array(card["centers"], dtype=np.float64).reshape(-1, 3)
         if not len(centers) or not np.isfinite(centers).all():
             raise ValueError("centers must be the targets of its demonstrations")
@@ -175,10 +181,11 @@ def load_policy(folder: Path) -> Policy:
     except (
         OSError,
         ValueError,
-        KeyError,
+        LookupError,
         TypeError,
         AttributeError,
         RuntimeError,
+        ArithmeticError,
         SafetensorError,
     ) as error:
         reason = str(error).split("\n")[0]
@@ -188,6 +195,31 @@ def load_policy(folder: Path) -> Policy:
         ) from None
     actor.requires_grad_(False)
     return policy
+
+
+def _read_weights(path: Path, card: JsonObject) -> bytes:
+    """Return the content of the file of the weights.
+
+    Raises:
+        CdcsrError: it is not the one that the card was written with.
+    """
+    data, expected = read_bytes(path, MOST_TABLE, "weights"), card.get("weights_digest")
+    if expected is None:
+        note(f"{path.parent} is of an older version, without digests; damage would not be seen.")
+    elif digest(data) != expected:
+        raise CdcsrError(
+            f"{path} is damaged: its digest is {digest(data)}, and the card {_CARD} names "
+            f"{expected}; copy the policy again, or resume its run."
+        )
+    return data
+
+
+def _check_size(hidden: list[int], size: int) -> None:
+    """Check that layers of such widths fit into a file of `size` bytes, before any is made."""
+    if len(hidden) > _MOST_LAYERS or not all(1 <= width <= size for width in hidden):
+        raise ValueError(f"hidden layers {str(hidden)[:60]}")
+    if 4 * sum(a * b for a, b in pairwise(hidden)) > size:
+        raise ValueError(f"hidden layers {str(hidden)[:60]} for weights of {size} bytes")
 
 
 def find_policy(name: str, others: Iterable[str] = ()) -> Policy:

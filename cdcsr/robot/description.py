@@ -15,6 +15,7 @@ from __future__ import annotations
 import hashlib
 import json
 import tomllib
+from collections.abc import Iterator
 from importlib import resources
 from pathlib import Path
 from typing import Annotated, Literal, Self
@@ -236,6 +237,30 @@ class Robot(Part):
         return tomli_w.dumps(self.model_dump(mode="json"))
 
 
+def differences(own: Robot, other: Robot) -> str:
+    """Return the fields in which two descriptions differ, at most six of them, as one line."""
+    ours, theirs = (dict(_leaves(one.model_dump(mode="json"))) for one in (own, other))
+    found = [
+        f"{name} = {ours.get(name, 'none')}, not {theirs.get(name, 'none')}"
+        for name in dict.fromkeys((*ours, *theirs))
+        if name != "name" and ours.get(name) != theirs.get(name)
+    ]
+    more = f"; and {len(found) - 6} more" if len(found) > 6 else ""
+    return "; ".join(found[:6]) + more
+
+
+def _leaves(value: object, name: str = "") -> Iterator[tuple[str, object]]:
+    """Yield the values inside nested data with their dotted names."""
+    if isinstance(value, dict):
+        for key, inner in value.items():
+            yield from _leaves(inner, f"{name}.{key}".lstrip("."))
+    elif isinstance(value, list):
+        for index, inner in enumerate(value):
+            yield from _leaves(inner, f"{name}[{index}]")
+    else:
+        yield name, value
+
+
 def parse_robot(text: str, source: str = "<text>") -> Robot:
     """Read a description from TOML text.
 
@@ -259,9 +284,13 @@ def parse_robot(text: str, source: str = "<text>") -> Robot:
 def load_robot(robot: str | Path) -> Robot:
     """Load a description from a file, or a shipped one by its name (``"paper"``).
 
+    A text of several lines is a description itself.
+
     Raises:
         CdcsrError: no such file or shipped robot, or a broken description.
     """
+    if isinstance(robot, str) and "\n" in robot:
+        return parse_robot(robot, "The robot's description")
     path = Path(robot)
     if path.suffix == ".toml":
         return parse_robot(read_text(path, "robot description"), str(path))

@@ -10,16 +10,20 @@ import io
 from dataclasses import dataclass
 from importlib import resources
 from pathlib import Path
-from zipfile import BadZipFile
+from zipfile import ZipFile
 
 import numpy as np
 from numpy.typing import NDArray
 
 from cdcsr.errors import CdcsrError
-from cdcsr.files import write_bytes
-from cdcsr.robot.description import Robot
+from cdcsr.files import note, write_bytes
+from cdcsr.reading import MOST_TABLE, digest, read_bytes
+from cdcsr.robot.description import Robot, differences, parse_robot
 
 Array = NDArray[np.float64]
+_OLDER = {f"{name}.npy" for name in ("robot", "origin", "edges", "cells")}
+_MEMBERS = _OLDER | {"description.npy", "digest.npy"}
+"""The arrays in a file, before and since maps hold the robot and a digest."""
 
 
 @dataclass(frozen=True)
@@ -34,6 +38,8 @@ class Workspace:
     """The edge lengths of a cell, shape (3,), in [m]; zero along the axis across a flat map."""
     cells: NDArray[np.int16]
     """The index of each cell along the three axes, shape (n, 3)."""
+    description: str = ""
+    """The robot as TOML; empty in maps of older versions."""
     name: str = "workspace"
 
     def sample(self, rng: np.random.Generator, num: int) -> Array:
@@ -46,6 +52,13 @@ class Workspace:
         """The centres of the cells, shape (n, 3), world frame, in [m]."""
         return self.origin + (self.cells + 0.5) * self.edges
 
+    @property
+    def digest(self) -> str:
+        """16 hexadecimal digits of the content."""
+        numbers = self.origin.astype(float), self.edges.astype(float), self.cells.astype(np.int16)
+        texts = (self.robot + self.description).encode()
+        return digest(texts + b"".join(array.tobytes() for array in numbers))
+
     def save(self, path: Path) -> None:
         """Write the map to an .npz file."""
         file = io.BytesIO()
@@ -55,6 +68,8 @@ class Workspace:
             origin=self.origin,
             edges=self.edges,
             cells=self.cells.astype(np.int16),
+            description=np.array(self.description),
+            digest=np.array(self.digest),
         )
         write_bytes(path, file.getvalue())
 
@@ -78,23 +93,51 @@ def load_workspace(robot: Robot, path: Path | None = None) -> Workspace:
         data, shown = shipped.read_bytes(), shipped.name
     else:
         try:
-            data, shown = path.read_bytes(), str(path)
-        except OSError as error:
-            raise CdcsrError(f"Cannot read the map {path}: {error.strerror}; {remedy}.") from None
+            data, shown = read_bytes(path, MOST_TABLE, "map"), str(path)
+        except CdcsrError as error:
+            raise CdcsrError(f"{str(error).removesuffix('.')}; {remedy}.") from None
     try:
-        with np.load(io.BytesIO(data), allow_pickle=False) as arrays:
-            found = Workspace(
-                str(arrays["robot"]), arrays["origin"], arrays["edges"], arrays["cells"]
-            )
-    except (OSError, ValueError, KeyError, EOFError, BadZipFile) as error:
+        found = _unpacked(data, shown, "workspace" if path is None else str(path))
+    # A damaged archive fails in many ways.
+    except Exception as error:
         raise CdcsrError(
-            f"{shown} is not a map of a workspace ({type(error).__name__}); {remedy}."
+            f"{shown} is not a map of a workspace ({type(error).__name__}: {error}); {remedy}."
         ) from None
     if found.robot != robot.fingerprint:
-        raise CdcsrError(
-            f"The map {shown} is of another robot ({found.robot}, not {robot.fingerprint}); "
-            f"{remedy}."
-        )
+        own = found.description and parse_robot(found.description, f"The robot of {shown}")
+        why = differences(own, robot) if own else f"{found.robot}, not {robot.fingerprint}"
+        raise CdcsrError(f"The map {shown} is of another robot ({why}); {remedy}.")
+    return found
+
+
+def _unpacked(data: bytes, shown: str, name: str) -> Workspace:
+    """Return the map in the content of a file, as a space of that name.
+
+    Raises:
+        ValueError: the content is no map, or not the one whose digest is in it.
+        Exception: the archive is damaged.
+    """
+    with ZipFile(io.BytesIO(data)) as archive:
+        members = {member.filename for member in archive.infolist()}
+        if members not in (_OLDER, _MEMBERS):
+            raise ValueError(f"it holds {sorted(members)[:8]}")
+        if sum(member.file_size for member in archive.infolist()) > MOST_TABLE:
+            raise ValueError("it unpacks to more than is allowed")
+    with np.load(io.BytesIO(data), allow_pickle=False) as arrays:
+        origin, edges, cells = (arrays[name] for name in ("origin", "edges", "cells"))
+        if (origin.shape, edges.shape) != ((3,), (3,)) or cells.ndim != 2 or cells.shape[1] != 3:
+            raise ValueError("its arrays have wrong shapes")
+        if not len(cells) or cells.dtype != np.int16:
+            raise ValueError("it has no cells")
+        if not np.isfinite([origin, edges]).all() or (edges < 0).any():
+            raise ValueError("it is not finite")
+        if members == _OLDER:
+            note(f"The map {shown} is of an older version, without a digest.")
+            return Workspace(str(arrays["robot"]), origin, edges, cells, name=name)
+        texts = str(arrays["robot"]), str(arrays["description"])
+        found = Workspace(texts[0], origin, edges, cells, texts[1], name)
+        if str(arrays["digest"]) != found.digest:
+            raise ValueError(f"its digest is {found.digest}, not {arrays['digest']}")
     return found
 
 

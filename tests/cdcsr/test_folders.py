@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import os
 from pathlib import Path
 
@@ -10,7 +9,7 @@ import pytest
 
 from cdcsr import folders
 from cdcsr.errors import CdcsrError
-from cdcsr.files import write_json
+from cdcsr.files import read_json, write_json
 from cdcsr.folders import WorkingFolder, new_folder
 from cdcsr.locks import Busy
 from tests.support.paths import DEAD, names
@@ -128,7 +127,7 @@ def test_a_working_folder_is_new_or_resumed_and_locked_meanwhile(tmp_path: Path)
         (folder / "table.csv").write_text("1")
         with pytest.raises(Busy), WORK.claim(folder, identity):
             pytest.fail("the block must not run")
-    assert json.loads((folder / "record.json").read_text()) == identity
+    assert read_json(folder / "record.json") == identity
     (folder / ".left-by-a-killed-process").touch()
     with WORK.claim(folder, identity):
         assert (folder / "table.csv").read_text() == "1"
@@ -165,7 +164,7 @@ def test_force_begins_anew_and_deletes_only_results(tmp_path: Path) -> None:
     with WORK.claim(tmp_path, {"rounds": 4}, force=True):
         assert names(tmp_path) == [".lock", "notes", "record.json", "sub"]
         assert names(tmp_path / "sub") == ["notes"]
-    assert json.loads((tmp_path / "record.json").read_text()) == {"rounds": 4}
+    assert read_json(tmp_path / "record.json") == {"rounds": 4}
 
 
 @pytest.mark.parametrize("force", [False, True])
@@ -193,10 +192,10 @@ def test_a_folder_of_something_else_is_never_claimed(
 def test_work_without_an_identity_is_resumed_as_it_is(tmp_path: Path) -> None:
     kind = WorkingFolder("a demo", "record.json")
     with kind.claim(tmp_path):
-        assert json.loads((tmp_path / "record.json").read_text()) == {}
+        assert read_json(tmp_path / "record.json") == {}
         write_json(tmp_path / "record.json", {"done": 1})
     with kind.claim(tmp_path):
-        assert json.loads((tmp_path / "record.json").read_text()) == {"done": 1}
+        assert read_json(tmp_path / "record.json") == {"done": 1}
 
 
 def test_of_two_that_make_a_folder_one_is_refused_at_the_start(tmp_path: Path) -> None:

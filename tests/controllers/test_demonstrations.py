@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import shutil
 from pathlib import Path
 
 import numpy as np
@@ -13,6 +14,8 @@ from cdcsr.errors import CdcsrError
 from cdcsr.robot.description import load_robot
 from cdcsr.tasks.observation import SLICES, TARGET
 from cdcsr.tasks.spaces import demonstration_targets
+from cdcsr.tasks.workspace_map import Workspace, load_workspace
+from controllers.dataset_files import stored_robot
 from controllers.demonstrations import load, record
 from controllers.jacobian import JacobianController
 from training.commands.demonstrate import demonstrate
@@ -24,6 +27,17 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     out = tmp_path_factory.mktemp("datasets") / "reach-anchor-v0"
     demonstrate(out=out, episodes=3, seed=0, json=out.parent / "summary.json")
     return out
+
+
+@pytest.fixture
+def small_map(tmp_path: Path) -> Path:
+    """A map of two cells of the small robot."""
+    robot, path = load_robot("planar-single"), tmp_path / "own.npz"
+    cells = np.array([[0, 0, 0], [0, 0, 1]], dtype=np.int16)
+    corner = np.array(robot.workspace.center)
+    edges = np.array([0.02, 0.0, 0.02])
+    Workspace(robot.fingerprint, corner, edges, cells, robot.to_toml()).save(path)
+    return path
 
 
 def test_stock_minari_reads_it(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -38,6 +52,79 @@ def test_stock_minari_reads_it(folder: Path, monkeypatch: pytest.MonkeyPatch) ->
         assert len(episode.observations) == len(episode.actions) + 1
     env = dataset.recover_environment()
     assert env.observation_space == dataset.observation_space
+
+
+def test_minaris_own_tools_take_datasets_of_ones_own_robot(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Two datasets of a robot of the name `paper` that is not the shipped one."""
+    import minari
+    from minari.cli import app
+    from typer.testing import CliRunner
+
+    own = tmp_path / "own.toml"
+    own.write_text(load_robot("paper").to_toml().replace("mass = 1.18", "mass = 0.6"))
+    robot = load_robot(own)
+    assert robot.fingerprint != load_robot("paper").fingerprint
+    monkeypatch.setenv("MINARI_DATASETS_PATH", str(tmp_path / "sets"))
+    for place, seed in (("one-v0", 0), ("lab/two-v1", 1)):
+        out = tmp_path / "sets" / place
+        demonstrate(out=out, episodes=1, frame_skip=10, robot=str(own), seed=seed)
+    with pytest.raises(CdcsrError, match=r"give --out .*sets/demos-v0"):
+        demonstrate(out=tmp_path / "sets" / "demos", episodes=1)
+    shown = CliRunner().invoke(app, ["list", "local"], env={"COLUMNS": "200"})
+    assert "one-v0" in shown.output
+    assert "lab/two-v1" in shown.output
+    assert CliRunner().invoke(app, ["show", "lab/two-v1"]).exit_code == 0
+    sets = [minari.load_dataset(name) for name in ("one-v0", "lab/two-v1")]
+    assert [one.spec.dataset_id for one in sets] == ["one-v0", "lab/two-v1"]
+    both = minari.combine_datasets(sets, "both-v0")
+    for one in (*sets, both):
+        env = one.recover_environment()
+        assert env.unwrapped.batch.robot == robot  # type: ignore[attr-defined]
+        env.close()
+    read = load(tmp_path / "sets" / "both-v0", robot.fingerprint, 10)
+    assert [e.length for e in read] == [len(e.actions) for one in sets for e in one]
+
+
+def test_a_dataset_keeps_its_robot_and_its_map(tmp_path: Path, small_map: Path) -> None:
+    import minari
+
+    out = tmp_path / "set"
+    demonstrate(out=out, episodes=1, frame_skip=10, robot="planar-single", space=str(small_map))
+    robot = stored_robot(out)
+    assert robot == load_robot("planar-single")
+    env = minari.MinariDataset(out / "data").recover_environment().unwrapped
+    ours = load_workspace(load_robot("planar-single"), small_map).sample(
+        np.random.default_rng(0), 5
+    )
+    theirs = env.batch._episodes.space.sample(np.random.default_rng(0), 5)  # type: ignore[attr-defined]
+    np.testing.assert_array_equal(ours, theirs)
+    env.close()
+
+
+def test_damage_is_seen_and_datasets_without_digests_are_read(
+    tmp_path: Path, folder: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    fingerprint = load_robot("paper").fingerprint
+    for name in ("main_data.hdf5", "metadata.json"):
+        shutil.copytree(folder, tmp_path / name)
+        path = tmp_path / name / "data" / name
+        data = path.read_bytes()
+        at = data.index(load(folder, fingerprint)[1].actions.tobytes()[:8]) if "5" in name else 0
+        at = at or data.index(b"mass = 1.18") + 7
+        path.write_bytes(data[:at] + bytes([data[at] ^ 1]) + data[at + 1 :])
+        with pytest.raises(CdcsrError, match="is damaged"):
+            load(tmp_path / name, fingerprint)
+    path = folder / "data" / "metadata.json"
+    metadata = json.loads(path.read_text())
+    shutil.copytree(folder, tmp_path / "old")
+    for key in ("digest", "data_digest", "robot_description"):
+        del metadata[key]
+    (tmp_path / "old" / "data" / "metadata.json").write_text(json.dumps(metadata))
+    capsys.readouterr()
+    assert len(load(tmp_path / "old", fingerprint)) == 3
+    assert "older version" in capsys.readouterr().err
 
 
 def test_replaying_the_commands_gives_the_observations(folder: Path) -> None:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Callable
 from pathlib import Path
 
@@ -11,6 +10,7 @@ import pytest
 import torch
 
 from cdcsr.errors import CdcsrError
+from cdcsr.files import read_json, sealed, write_json
 from cdcsr.robot.description import load_robot
 from cdcsr.tasks.observation import observation_size
 from training.measure.evaluation import evaluate
@@ -73,9 +73,9 @@ def _list_json(folder: Path) -> None:
 
 def _edit(key: str, value: object) -> Callable[[Path], None]:
     def change(folder: Path) -> None:
-        card = json.loads((folder / "policy.json").read_text())
+        card = read_json(folder / "policy.json")
         card[key] = value
-        (folder / "policy.json").write_text(json.dumps(card))
+        write_json(folder / "policy.json", sealed(card))
 
     change.__name__ = f"edit_{key}"
     return change

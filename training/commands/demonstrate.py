@@ -26,7 +26,8 @@ def demonstrate(
     """Record episodes of the scripted demonstrator into a Minari dataset.
 
     Args:
-        out: the folder of the dataset.
+        out: the folder of the dataset. Minari's own commands find it in the folder that
+            MINARI_DATASETS_PATH names if its name ends in a version, as `demos-v0` does.
         robot: a shipped robot's name, or a path ending in .toml.
         frame_skip: how many simulation steps each command is held for.
         backend: the engine.
@@ -44,15 +45,17 @@ def demonstrate(
     from cdcsr.folders import new_folder
     from cdcsr.simulation.arguments import MOST_COPIES, check_count
     from controllers import demonstrations
+    from controllers.dataset_files import dataset_id
     from controllers.jacobian import JacobianController
 
     check_count("episodes", episodes, MOST_COPIES)
+    name = dataset_id(out)
     with new_folder(out, "demonstrations", force) as folder:
         options = {"frame_skip": frame_skip, "task": task, "autoreset_mode": "Disabled"}
         env = TaskVectorEnv(episodes, robot, backend, space, start=start, **options)
         controller = JacobianController(env.robot)
         recorded, failed, diverged = demonstrations.record(controller, env, episodes, seed)
-        demonstrations.save(folder, recorded, env, controller.name, out.name)
+        demonstrations.save(folder, recorded, env, controller.name, name)
         env.close()
     summary = {
         "out": str(out),

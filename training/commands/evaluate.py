@@ -9,7 +9,7 @@ def evaluate(
     policy: str,
     /,
     *,
-    robot: str = "paper",
+    robot: str | None = None,
     backend: str = "all",
     space: str | None = None,
     task: str | None = None,
@@ -28,7 +28,8 @@ def evaluate(
         policy: folder of a policy or a run, name of a shipped policy, "jacobian" (the scripted
             demonstrator), "nearest" (replays the nearest demonstration), package.module:Object (a
             controller of your own), or a .zip of stable-baselines3.
-        robot: the robot, unless the policy brings its own.
+        robot: the robot; by default the policy's own, or else "paper". A policy is refused on
+            another robot than its own.
         backend: an engine, or all.
         space: anchor, floating, spatter or workspace; by default that of the training.
         task: the task; by default the one it was trained for.
@@ -47,11 +48,11 @@ def evaluate(
     from training.commands.measured import find_controller, report_cells, robot_of, set_threads
 
     set_threads()
-    description = load_robot(robot)
+    description = load_robot(robot or "paper")
     controller = find_controller(policy, description)
     report_cells(
         [controller],
-        robot_of(controller, description),
+        robot_of(controller, description, robot is not None),
         backend,
         [space or controller.space or "anchor"],
         episodes,

@@ -98,20 +98,49 @@ def find_controller(name: str, robot: Robot) -> Controller:
     Raises:
         CdcsrError: there is no such controller, or it cannot be loaded.
     """
+    from cdcsr.files import note
     from controllers.registry import SCRIPTED, scripted_controller
     from controllers.stable_baselines import StableBaselines
     from training.policy import find_policy
+    from training.run.train_options import is_unfinished
 
     scripted = scripted_controller(name, robot)
     if scripted is not None:
         return scripted
     if name.endswith(".zip"):
         return StableBaselines(name)
-    return find_policy(name, SCRIPTED)
+    policy = find_policy(name, SCRIPTED)
+    done = policy.card.get("unfinished")
+    if isinstance(done, dict) or is_unfinished(Path(name)):  # older cards do not tell
+        stage = ""
+        if isinstance(done, dict):
+            stage = f", from update {done.get('update')} of {done.get('of')}"
+        note(f"The policy {name} is unfinished{stage}; the options of its run resume the training.")
+    return policy
 
 
-def robot_of(controller: Controller, robot: Robot) -> Robot:
-    """Return the robot that a controller is for: a policy's own, else the one asked for."""
+def robot_of(controller: Controller, robot: Robot, asked: bool) -> Robot:
+    """Return the robot that a controller is for: a policy's own, else the one asked for.
+
+    Args:
+        controller: the controller.
+        robot: the robot asked for, or the default.
+        asked: whether the user asked for it.
+
+    Raises:
+        CdcsrError: another robot than the policy's own was asked for.
+    """
+    from cdcsr.errors import CdcsrError
+    from cdcsr.robot.description import differences
     from training.policy import Policy
 
-    return controller.robot if isinstance(controller, Policy) else robot
+    if not isinstance(controller, Policy):
+        return robot
+    own = controller.robot
+    if asked and robot.fingerprint != own.fingerprint:
+        raise CdcsrError(
+            f"The policy {controller.name!r} is for its own robot {own.name!r}, which differs from "
+            f"{robot.name!r} ({differences(own, robot)}); leave --robot out, or train a policy for "
+            "that robot. `cdcsr sweep` shows how far a plant may differ."
+        )
+    return own

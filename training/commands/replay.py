@@ -10,7 +10,7 @@ def replay(
     /,
     *,
     backend: str = "all",
-    robot: str = "paper",
+    robot: str | None = None,
     frame_skip: int = 1,
     json: Path | None = None,
 ) -> None:
@@ -19,17 +19,26 @@ def replay(
     Args:
         dataset: a folder made by `cdcsr demonstrate`.
         backend: an engine, or all.
-        robot: the robot of the dataset: a shipped robot's name, or a path ending in .toml.
+        robot: a shipped robot's name, or a path ending in .toml; by default the robot in the
+            dataset, and the dataset must be of it.
         frame_skip: how many simulation steps each command was held for.
         json: also write the distances to this file.
     """
+    from cdcsr.errors import CdcsrError
     from cdcsr.files import write_json
-    from cdcsr.robot.description import load_robot
+    from cdcsr.robot.description import differences, load_robot
     from cdcsr.simulation.engines import chosen_backends
     from controllers import demonstrations
+    from controllers.dataset_files import stored_robot
     from controllers.replay import replay as run
 
-    description = load_robot(robot)
+    own = stored_robot(dataset)
+    description = load_robot(robot or "paper") if robot or own is None else own
+    if own is not None and own.fingerprint != description.fingerprint:
+        raise CdcsrError(
+            f"The demonstrations in {dataset} are of their own robot {own.name!r}, which differs "
+            f"from {description.name!r} ({differences(own, description)}); leave --robot out."
+        )
     episodes = demonstrations.load(dataset, description.fingerprint, frame_skip, start="still")
     results = [
         run(description, name, episodes, frame_skip).as_dict() for name in chosen_backends(backend)

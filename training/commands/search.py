@@ -64,7 +64,7 @@ def search(
     rounds: int = 30,
     missed: bool = False,
     seed: int | None = None,
-    robot: str = "paper",
+    robot: str | None = None,
     action_noise: float = 0.0,
     base_noise: float = 0.0,
     packet_loss: float = 0.0,
@@ -91,7 +91,8 @@ def search(
         rounds: how many rounds at each target; about half a second each.
         missed: search only at targets that the controller reaches in less than half of 48 tries.
         seed: seed of the targets; by default the one that nothing is tuned on.
-        robot: the robot, unless the policy brings its own.
+        robot: the robot; by default the policy's own, or else "paper". A policy is refused on
+            another robot than its own.
         action_noise: standard deviation of noise on the commands, in [m] of set-point.
         base_noise: standard deviation of noise on the observed base position, in [m].
         packet_loss: probability that an observation is lost.
@@ -125,7 +126,7 @@ def _prepare(
     rounds: int,
     missed: bool,
     seed: int | None,
-    robot: str,
+    robot: str | None,
     disturbances: Disturbances,
 ) -> _Search:
     """Find the controller, and check that it can be searched around."""
@@ -138,8 +139,9 @@ def _prepare(
     set_threads()
     check_count("episodes", episodes, MOST_COPIES)
     check_count("rounds", rounds, 1_000_000)
-    description = load_robot(robot)
+    description = load_robot(robot or "paper")
     controller = find_controller(policy, description)
+    description = robot_of(controller, description, robot is not None)
     if controller.task not in ("reach", "precise", "quiet"):
         raise CdcsrError(
             f"{controller.name} is for the task {controller.task}; a search is for controllers of "
@@ -152,7 +154,7 @@ def _prepare(
         )
     return _Search(
         controller,
-        robot_of(controller, description),
+        description,
         backend,
         space or controller.space or "anchor",
         start or controller.start,
@@ -235,6 +237,7 @@ class _Search:
     def _search(self, env: TaskVectorEnv, targets: NDArray[np.float64], table: Path) -> list[_Row]:
         """Search at each target that the table lacks, and write the table after each of them."""
         from cdcsr.files import write_text
+        from cdcsr.tables import csv_text
         from controllers.search import improve
 
         rows = _read_rows(table, targets.round(4))
@@ -249,8 +252,7 @@ class _Search:
             )
             numbers = [*targets[episode].round(4).tolist(), *_plain(alone), *_plain(best)]
             rows.append(_Row._make([episode, *numbers]))
-            lines = [",".join(map(str, row)) + "\n" for row in [_Row._fields, *rows]]
-            write_text(table, "".join(lines))
+            write_text(table, csv_text(_Row._fields, rows))
             print(
                 f"{episode + 1} of {self.episodes}: {_text(alone)}; best {_text(best)}", flush=True
             )
@@ -288,17 +290,17 @@ def _read_rows(table: Path, targets: NDArray[np.float64]) -> list[_Row]:
     Raises:
         CdcsrError: the table is damaged, or has other targets.
     """
-    import csv
-
     from cdcsr.errors import CdcsrError
+    from cdcsr.tables import read_csv_rows
 
-    if not table.is_file():
+    if not table.exists():
         return []
     try:
-        with table.open(newline="", encoding="utf-8") as file:
-            lines = [[*map(float, line.values())] for line in csv.DictReader(file)]
-        rows = [_Row(int(line[0]), *line[1:]) for line in lines]
-    except (OSError, ValueError, TypeError) as error:
+        head, lines = read_csv_rows(table)
+        if tuple(head) != _Row._fields:
+            raise ValueError(f"its columns are {', '.join(head)}")
+        rows = [_Row(int(line[0]), *map(float, line[1:])) for line in lines]
+    except ValueError as error:
         raise CdcsrError(
             f"{table} is damaged ({error}); delete it, and the search makes it again."
         ) from None

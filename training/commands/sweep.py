@@ -21,7 +21,7 @@ def sweep(
     start: str | None = None,
     episodes: int = 100,
     seed: int | None = None,
-    robot: str = "paper",
+    robot: str | None = None,
     json: Path | None = None,
     csv: Path | None = None,
 ) -> None:
@@ -38,11 +38,13 @@ def sweep(
             in the training.
         episodes: how many episodes at each level, run as one batch.
         seed: seed of the targets; by default the one that nothing is tuned on.
-        robot: the robot, unless the policy brings its own.
+        robot: the robot; by default the policy's own, or else "paper". A policy is refused on
+            another robot than its own.
         json: also write rates, halving levels, and the episodes that end differently, to this file.
         csv: also write every episode to this file.
     """
     from cdcsr.files import write_json, write_text
+    from cdcsr.tables import csv_text
     from training.measure.plant_sweep import Row
     from training.measure.sweep_table import as_dict, format_sweep
 
@@ -57,8 +59,7 @@ def sweep(
     print(format_sweep(points))
     _show_differences(nominal)
     if csv is not None:
-        table = [Row._fields, *(row for point in points for row in point.rows)]
-        write_text(csv, "".join(",".join(map(str, row)) + "\n" for row in table))
+        write_text(csv, csv_text(Row._fields, [row for point in points for row in point.rows]))
     if json is not None:
         write_json(json, {**head, **as_dict(lines)})
 
@@ -72,7 +73,7 @@ def _measure(
     axis: tuple[str, ...],
     episodes: int,
     seed: int | None,
-    robot: str,
+    robot: str | None,
 ) -> tuple[dict[str, object], list[list[Point]]]:
     """Return what is swept, and the points of each axis in each engine."""
     from cdcsr.robot.description import load_robot
@@ -83,9 +84,13 @@ def _measure(
     from training.measure.plant_sweep import sweep as measure
 
     set_threads()
-    axes, backends, description = find_axes(axis), chosen_backends(backend), load_robot(robot)
+    axes, backends, description = (
+        find_axes(axis),
+        chosen_backends(backend),
+        load_robot(robot or "paper"),
+    )
     controller = find_controller(policy, description)
-    description = robot_of(controller, description)
+    description = robot_of(controller, description, robot is not None)
     space, task = space or controller.space or "anchor", task or controller.task
     start = start or controller.start
     seed = TEST_SEED if seed is None else seed

@@ -15,6 +15,7 @@ def transfer(
     start: str | None = None,
     episodes: int = 100,
     seed: int | None = None,
+    robot: str | None = None,
     task: str | None = None,
     json: Path | None = None,
     plot: Path | None = None,
@@ -32,6 +33,8 @@ def transfer(
         episodes: how many episodes in each cell, run as one batch.
         seed: seed of the targets; by default the one that nothing is tuned on.
         task: the task; by default the one that all of them were trained for.
+        robot: the robot; by default the policies' own, or else "paper". A policy is refused on
+            another robot than its own.
         json: also write the results, each episode included, to this file.
         plot: also draw which targets are reached, in a panel for each cell, to this PNG.
     """
@@ -45,13 +48,18 @@ def transfer(
         raise CdcsrError("No policy is given; name at least one folder of a policy or a run.")
     if len(set(policies)) < len(policies):
         raise CdcsrError(f"A controller is given twice: {', '.join(policies)}; name each once.")
-    paper = load_robot("paper")
-    controllers = [find_controller(name, paper) for name in policies]
+    asked = load_robot(robot or "paper")
+    controllers = [find_controller(name, asked) for name in policies]
     learned = [one for one in controllers if one.space is not None]
-    robot = robot_of(learned[0], paper) if learned else paper
-    if robot is not paper:  # scripted controllers act on the policies' robot
+    robots = [robot_of(one, asked, robot is not None) for one in learned] or [asked]
+    if len({one.fingerprint for one in robots}) > 1:
+        raise CdcsrError(
+            f"The policies are for different robots ({', '.join(one.name for one in robots)}); "
+            "measure those of each robot by themselves."
+        )
+    if robots[0].fingerprint != asked.fingerprint:  # scripted controllers act on that robot too
         controllers = [
-            one if one.space is not None else find_controller(name, robot)
+            one if one.space is not None else find_controller(name, robots[0])
             for name, one in zip(policies, controllers, strict=True)
         ]
     names = Counter(one.name for one in controllers)
@@ -73,7 +81,7 @@ def transfer(
     spaces = list(SPACES) if space == "all" else [space]
     report_cells(
         controllers,
-        robot,
+        robots[0],
         backend,
         spaces,
         episodes,

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Mapping, Sequence
 from functools import partial
 from itertools import cycle
@@ -14,6 +13,7 @@ from matplotlib.ticker import PercentFormatter
 from numpy.typing import NDArray
 
 from cdcsr.errors import CdcsrError
+from cdcsr.files import read_json
 from cdcsr.plots import COLORS, SOFT, drawn, short_count
 from training.algorithms.registry import algorithm_title
 from training.run.metrics import read_metrics
@@ -88,8 +88,8 @@ def _add_updates_axis(axes: Axes, histories: Sequence[Sequence[Mapping[str, floa
 def _run_title(run: Path) -> str:
     """Return what a run trained, or its folder's name if that cannot be read."""
     try:
-        config = json.loads((run / "config.json").read_text("utf-8"))
+        config = read_json(run / "config.json")
         name = f"{algorithm_title(config['algorithm'])} {config['preset']}"
         return f"{name}, {config['space']}, seed {config['seed']}"
-    except (OSError, ValueError, KeyError):
+    except (CdcsrError, KeyError):
         return run.name

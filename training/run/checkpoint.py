@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import json
 from pathlib import Path
 from typing import Any, NamedTuple, TypedDict
@@ -13,7 +14,8 @@ from safetensors import SafetensorError, safe_open
 from safetensors.torch import save_file
 
 from cdcsr.errors import CdcsrError
-from cdcsr.files import replacing
+from cdcsr.files import JsonObject, note, replacing
+from cdcsr.robot.description import Robot, differences, parse_robot
 from training.algorithms.td3 import TD3, BackboneNumbers
 from training.experience.collector import Collector
 from training.experience.mixed_replay import MixedReplay
@@ -65,7 +67,7 @@ def save_state(path: Path, parts: Parts, counters: Counters) -> None:
         f"env.{key}": torch.from_numpy(np.asarray(value))
         for key, value in parts.collector.state_arrays().items()
     }
-    meta = {
+    meta: JsonObject = {
         "counters": counters,
         "replays": {
             name: [buffer.position, buffer.size] for name, buffer in parts.replay.buffers.items()
@@ -73,6 +75,8 @@ def save_state(path: Path, parts: Parts, counters: Counters) -> None:
         "updates": parts.algorithm.updates,
         "generators": {name: g.bit_generator.state for name, g in parts.generators.items()},
     }
+    meta["robot"] = parts.collector.env.robot.to_toml()
+    meta["digest"] = _digest(tensors, meta)
     rows = {key: value.contiguous() for key, value in tensors.items()}
     with replacing(path) as temporary:
         try:
@@ -92,6 +96,12 @@ def load_state(path: Path, parts: Parts) -> Counters:
             names = list(file.keys())
             tensors = {name: file.get_tensor(name) for name in names}
             meta = json.loads(file.metadata()[_META])
+        expected = meta.pop("digest", None)
+        if expected is None:
+            note(f"{path} is of an older version, without a digest; damage would not be seen.")
+        elif expected != _digest(tensors, meta):
+            raise ValueError(f"its content has not the digest {str(expected)[:16]}")
+        _check_robot(path, meta.get("robot"), parts.collector.env.robot)
         for name, module in _modules(parts.algorithm).items():
             module.load_state_dict(_below(tensors, f"{name}."))
         for name, optimizer in _optimizers(parts.algorithm).items():
@@ -119,6 +129,27 @@ def load_state(path: Path, parts: Parts) -> Counters:
             "with --force."
         ) from None
     return meta["counters"]
+
+
+def _check_robot(path: Path, found: str | None, robot: Robot) -> None:
+    """Check that a state is of this robot; those of older versions do not tell.
+
+    Raises:
+        CdcsrError: it is of another one.
+    """
+    own = robot if found is None else parse_robot(found, f"The robot of {path}")
+    if own.fingerprint != robot.fingerprint:
+        raise CdcsrError(f"{path} is of another robot ({differences(own, robot)}).")
+
+
+def _digest(tensors: dict[str, torch.Tensor], meta: JsonObject) -> str:
+    """Return 16 hexadecimal digits of all that a state holds."""
+    content = hashlib.sha256(json.dumps(meta, sort_keys=True).encode())
+    for name in sorted(tensors):
+        tensor = tensors[name].contiguous()
+        content.update(f"{name} {tensor.dtype} {tuple(tensor.shape)}".encode())
+        content.update(tensor.reshape(-1).view(torch.uint8).numpy().data)
+    return content.hexdigest()[:16]
 
 
 def _below(tensors: dict[str, torch.Tensor], prefix: str) -> dict[str, torch.Tensor]:

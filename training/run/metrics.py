@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import csv
-import io
 import os
 import socket
 import time
@@ -13,6 +11,7 @@ from typing import TYPE_CHECKING
 
 from cdcsr.errors import CdcsrError, cannot_write
 from cdcsr.files import write_text
+from cdcsr.tables import csv_text, read_csv_rows
 
 if TYPE_CHECKING:
     from torch import Tensor
@@ -47,20 +46,28 @@ class Metrics:
 
     def __init__(self, folder: Path, after: int) -> None:
         self._path = folder / "metrics.csv"
-        kept = [row for row in _rows(self._path) if float(row["update"]) <= after] if after else []
-        self._text = io.StringIO(newline="")
-        self._writer = csv.DictWriter(self._text, COLUMNS)
-        self._writer.writeheader()
-        self._writer.writerows(kept)
-        write_text(self._path, self._text.getvalue())
+        old = _rows(self._path) if after else []
+        self._rows = [row for row in old if float(row["update"]) <= after]
+        self._write()
         self._board = _Events(folder / "tensorboard", after)
 
     def add(self, row: dict[str, float]) -> None:
         """Write a row; a column that is missing stays empty."""
-        self._writer.writerow(row)
-        write_text(self._path, self._text.getvalue())
+        self._rows.append({name: str(value) for name, value in row.items()})
+        self._write()
         step = int(row["update"])
         self._board.add(step, {name: value for name, value in row.items() if name != "update"})
+
+    def _write(self) -> None:
+        """Write all rows; without any there is no file, so that a file that lost them is seen."""
+        if self._rows:
+            lines = [[row.get(name, "") for name in COLUMNS] for row in self._rows]
+            write_text(self._path, csv_text(COLUMNS, lines))
+            return
+        try:
+            self._path.unlink(missing_ok=True)
+        except OSError as error:
+            raise cannot_write(self._path, error) from None
 
 
 class _Events:
@@ -112,14 +119,14 @@ def read_metrics(path: Path) -> list[dict[str, float]]:
 
 def _rows(path: Path) -> list[dict[str, str]]:
     """The same, as they are written."""
-    if not path.is_file():
+    if not path.exists():
         return []
     try:
-        with path.open(newline="", encoding="utf-8") as file:
-            rows = list(csv.DictReader(file))
+        head, lines = read_csv_rows(path)
+        rows = [dict(zip(head, line, strict=True)) for line in lines]
         for row in rows:
             _ = float(row["update"]), [float(value) for value in row.values() if value]
-    except (OSError, ValueError, KeyError, TypeError, csv.Error) as error:
+    except (ValueError, KeyError) as error:
         raise CdcsrError(
             f"{path} is damaged ({error}); delete it, and what it says of the past is lost."
         ) from None

@@ -12,13 +12,15 @@ from training.algorithms.registry import differences, numbers_of, own_numbers
 from training.config.learner import Cloning, Network
 from training.config.run_description import RENAMED, Changes, RunDescription
 
+STATE, SUMMARY = "state.safetensors", "summary.json"
+"""While a run is unfinished its folder holds the first; once it is finished, the second."""
 RUN_FOLDER = WorkingFolder(
     "a training run",
     record="config.json",
     fields=frozenset({"algorithm", "learner"}),
     results=(
-        "summary.json",
-        "state.safetensors",
+        SUMMARY,
+        STATE,
         "metrics.csv",
         "policy.json",
         "policy.safetensors",
@@ -103,6 +105,11 @@ class Train(RunDescription):
             del data["start"]  # the same
         data |= {"learner": self.learner.model_dump(mode="json"), "fingerprint": fingerprint}
         return data if dataset is None else {**data, "dataset": dataset}
+
+
+def is_unfinished(folder: Path) -> bool:
+    """Return whether a folder holds a run that was stopped before its end."""
+    return (folder / STATE).exists() and not (folder / SUMMARY).exists()
 
 
 def train_options(

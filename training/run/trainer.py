@@ -14,6 +14,7 @@ from tqdm import tqdm
 
 from cdcsr.envs.gym_env import TaskVectorEnv
 from cdcsr.files import write_bytes, write_json
+from cdcsr.reading import MOST_RECORD, read_bytes
 from cdcsr.simulation.randomization import Randomization
 from cdcsr.tasks.spaces import wider_targets
 from controllers.rollout import rollout
@@ -28,9 +29,7 @@ from training.policy import Policy, load_policy
 from training.run.checkpoint import Counters, Parts, load_state, save_state
 from training.run.metrics import Meter, Metrics
 from training.run.setup import Setup, as_tensor
-from training.run.train_options import RUN_FOLDER, Train, read_older
-
-_STATE, _SUMMARY = "state.safetensors", "summary.json"
+from training.run.train_options import RUN_FOLDER, STATE, SUMMARY, Train, read_older
 
 
 def train(config: Train) -> Policy:
@@ -65,11 +64,11 @@ class Run:
 
     def carry_out(self) -> Policy:
         """Do what is left of the run; return its policy."""
-        if (self.folder / _SUMMARY).exists():
-            (self.folder / _STATE).unlink(missing_ok=True)  # left if it was killed at its very end
+        if (self.folder / SUMMARY).exists():
+            (self.folder / STATE).unlink(missing_ok=True)  # left if it was killed at its very end
             print(f"{self.folder} is a finished run; give --force to begin anew.")
             if self.config.json is not None:
-                write_bytes(self.config.json, (self.folder / _SUMMARY).read_bytes())
+                write_bytes(self.config.json, read_bytes(self.folder / SUMMARY, MOST_RECORD))
             return load_policy(self.folder)
         kind = find_algorithm(self.config.algorithm).learner
         clone = self._clone() if kind is None or kind.uses_clone else None
@@ -99,7 +98,7 @@ class Run:
         parts, env = self._parts(kind, learner, clone)
         algorithm, replay, collector, generators, _ = parts
         # Begin, or resume from the checkpoint.
-        state, done_before, recent = self.folder / _STATE, 0, deque[bool](maxlen=200)
+        state, done_before, recent = self.folder / STATE, 0, deque[bool](maxlen=200)
         if state.exists():
             counters = load_state(state, parts)
             done_before, self._minutes_before = counters["update"], counters["minutes"]
@@ -210,7 +209,9 @@ class Run:
 
     def _measure(self, actor: Actor, counters: Counters, meter: Meter) -> dict[str, float]:
         """Save the policy as it is now, and return a row of metrics."""
-        policy = self.setup.policy(actor, self.config.algorithm)
+        assert isinstance(self.setup.learner, BackboneNumbers)
+        done = {"update": counters["update"], "of": self.setup.learner.updates}
+        policy = self.setup.policy(actor, self.config.algorithm, unfinished=done)
         policy.save(self.folder)
         summary = self.setup.validate(policy).summary()
         names = ("success_rate", "success_low", "success_high", "length_mean")
@@ -236,7 +237,7 @@ class Run:
         policy.save(self.folder)
         validation = self.setup.validate(policy).summary()
         summary = {"out": str(self.folder), **policy.card, "validation": validation}
-        write_json(self.folder / _SUMMARY, summary)
+        write_json(self.folder / SUMMARY, summary)
         if config.json is not None:
             write_json(config.json, summary)
         print(

@@ -10,7 +10,6 @@ file for each evaluation; :func:`pack` moves it over.
 
 from __future__ import annotations
 
-import csv
 import json
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
@@ -22,6 +21,7 @@ from numpy.typing import NDArray
 
 from cdcsr.errors import CdcsrError
 from cdcsr.files import read_json, write_text
+from cdcsr.tables import read_csv_rows
 from training.study.parquet import DECIMALS, Columns, read_table, write_table
 
 Convert = Callable[[str], object]
@@ -286,10 +286,9 @@ def read_csv(
         CdcsrError: a column is missing, or a cell cannot be converted.
     """
     try:
-        with path.open(newline="", encoding="utf-8") as file:
-            head, *rows = list(csv.reader(file)) or [[]]
-    except (OSError, UnicodeDecodeError, csv.Error) as error:
-        raise CdcsrError(f"{path} is no CSV file ({error}); delete it and make it again.") from None
+        head, rows = read_csv_rows(path)
+    except ValueError as error:
+        raise CdcsrError(f"{path} is damaged ({error}); delete it and make it again.") from None
     if missing := [name for name in kinds if name not in head]:
         raise CdcsrError(
             f"{path} has no column {', '.join(missing)} (found: {', '.join(head) or 'nothing'}); "

@@ -12,6 +12,7 @@ import pytest
 from cdcsr import cli
 from cdcsr.envs.gym_env import TaskVectorEnv
 from cdcsr.robot.description import load_robot
+from cdcsr.tables import csv_text, read_csv_rows
 from cdcsr.tasks.spaces import make_space
 from controllers.controller import Controller
 from controllers.search import Outcome
@@ -101,14 +102,12 @@ def test_the_command_goes_on_and_refuses_another_search(
     assert summary["reached"] == 1
     assert summary["best_length"] <= summary["length"]
     assert search(halted, 2) == 0
-    lines = (halted / "targets.csv").read_text().splitlines(keepends=True)
-    kept = lines[1].replace(
-        lines[1].split(",")[5], "12.5"
-    )  # what is there already is not made again
-    (halted / "targets.csv").write_text(lines[0] + kept)  # stopped after the first target
+    head, (first, second) = read_csv_rows(halted / "targets.csv")
+    kept = [*first[:5], "12.5", *first[6:]]  # what is there already is not made again
+    (halted / "targets.csv").write_text(csv_text(head, [kept]))  # stopped after the first target
     assert search(halted, 2) == 0
-    assert (halted / "targets.csv").read_text() == lines[0] + kept + lines[2]
-    (halted / "targets.csv").write_text("".join(lines[:2]))
+    assert read_csv_rows(halted / "targets.csv") == (head, [kept, second])
+    (halted / "targets.csv").write_text(csv_text(head, [first]))
     assert search(halted, 2) == 0
     assert (halted / "targets.csv").read_text() == (whole / "targets.csv").read_text()
     assert json.loads((tmp_path / "summary.json").read_text()) == summary
@@ -118,7 +117,7 @@ def test_the_command_goes_on_and_refuses_another_search(
     assert "holds a search with other options (missed)" in capsys.readouterr().err
     assert search(whole, 1) == 2
     assert "holds a search with other options (episodes)" in capsys.readouterr().err
-    (whole / "targets.csv").write_text(lines[0] + lines[2])
+    (whole / "targets.csv").write_text(csv_text(head, [second]))
     assert search(whole, 2) == 2
     assert "is of other targets: line 2 is of target 1 at (" in capsys.readouterr().err
     (whole / "targets.csv").write_text("episode,x\n0,north\n")

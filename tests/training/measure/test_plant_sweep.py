@@ -150,7 +150,7 @@ def test_the_command_writes_every_episode(
     )
     with table.open(encoding="utf-8") as file:
         rows = list(csv.DictReader(file))
-    assert ",".join(rows[0]) == "backend,space,axis,level,episode,success,length,distance"
+    assert ",".join(rows[0]) == "backend,space,axis,level,episode,success,length,distance,crc32"
     found = [(row["level"], row["episode"]) for row in rows]
     levels = [1.0, 0.5, 0.25, 0.125]
     assert found == [(str(level), episode) for level in levels for episode in "01"]

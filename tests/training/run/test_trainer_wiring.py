@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-import json
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -13,8 +12,10 @@ import torch
 from safetensors.torch import load_file
 
 from cdcsr.errors import CdcsrError
+from cdcsr.files import read_json, sealed, write_json
 from cdcsr.locks import Busy, lock
 from cdcsr.simulation.randomization import Randomization
+from cdcsr.tables import csv_text, read_csv_rows
 from tests.support.tiny import FRAME_SKIP, tiny_changes
 from training.config.seeds import EVALUATION_SEEDS, TEST_SEED, VALIDATION_SEED
 from training.experience.collector import Collector, FinishedEpisode
@@ -167,9 +168,12 @@ def test_rows_after_the_checkpoint_go_and_those_before_stay_as_they_are(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     path = tmp_path / "metrics.csv"
-    head = ",".join(COLUMNS)
-    rows = ["20,80,0.1,,0.25,,,,,,,,", "40,160,0.2,,0.5,,,,,,,,", "60,240,0.3,,0.75,,,,,,,,"]
-    path.write_text("\n".join([head, *rows]) + "\n")
+    rows = [
+        [*("20", "80", "0.1", "", "0.25"), *[""] * 8],
+        [*("40", "160", "0.2", "", "0.5"), *[""] * 8],
+        [*("60", "240", "0.3", "", "0.75"), *[""] * 8],
+    ]
+    path.write_text(csv_text(COLUMNS, rows))
 
     def killed(*_: object) -> None:
         raise KeyboardInterrupt
@@ -180,13 +184,13 @@ def test_rows_after_the_checkpoint_go_and_those_before_stay_as_they_are(
             Metrics(tmp_path, after=40)
     assert [row["update"] for row in read_metrics(path)] == [20, 40, 60]  # nothing is lost
     Metrics(tmp_path, after=40)
-    assert path.read_text().split() == [head, *rows[:2]]
+    assert read_csv_rows(path) == ([*COLUMNS], rows[:2])
 
 
 @pytest.mark.parametrize("damage", ["update\nx\n", "other\n1\n", "update\n1,2\n", "\udcff"])
 def test_damaged_metrics_are_said_to_be(tmp_path: Path, damage: str) -> None:
     (tmp_path / "metrics.csv").write_bytes(damage.encode("utf-8", "surrogateescape"))
-    with pytest.raises(CdcsrError, match=r"metrics\.csv is damaged"):
+    with pytest.raises(CdcsrError, match=r"metrics\.csv( is damaged|: it is not UTF-8)"):
         Metrics(tmp_path, after=40)
 
 
@@ -196,14 +200,14 @@ def test_a_card_that_lacks_something_is_damaged(
 ) -> None:
     folder = tmp_path / "run"
     train(config(folder, demonstrations, algorithm="bc"))
-    card = json.loads((folder / "policy.json").read_text())
+    card = read_json(folder / "policy.json")
     if change == "centers":
         card["centers"] = []
     elif change == "activation":
         card["network"]["activation"] = "gelu"
     else:
         del card[change]
-    (folder / "policy.json").write_text(json.dumps(card))
+    write_json(folder / "policy.json", sealed(card))
     with pytest.raises(CdcsrError, match=rf"damaged.*{change}"):
         trainer.load_policy(folder)
 

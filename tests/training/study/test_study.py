@@ -14,7 +14,7 @@ import pytest
 
 from cdcsr.cli import run
 from cdcsr.errors import CdcsrError
-from cdcsr.files import write_json
+from cdcsr.files import read_json, write_json
 from cdcsr.leftovers import temporary_beside
 from cdcsr.robot.description import load_robot
 from cdcsr.simulation.engines import backend_names
@@ -155,7 +155,7 @@ def test_results_are_of_one_policy(tmp_path: Path, quick_evaluation: Counter[str
     jobs.carry_out(both, runs, results)
     assert quick_evaluation == {"td3 nominal": 1, "td3 disturbances": 1}, "the same to the bit"
     (results / job.name / "disturbances.csv").unlink()
-    write_json(record, json.loads(record.read_text()) | {"policy": "another"})
+    write_json(record, read_json(record) | {"policy": "another"})
     jobs.carry_out(both, runs, results)
     assert quick_evaluation == {"td3 nominal": 2, "td3 disturbances": 2}
     record.unlink()
@@ -176,7 +176,7 @@ def test_results_are_of_one_policy_if_making_them_again_is_interrupted(
     job = tiny_job(evaluations=("nominal", "disturbances"))
     record = results / job.name / "run.json"
     jobs.carry_out(job, runs, results)
-    write_json(record, json.loads(record.read_text()) | {"policy": "another"})
+    write_json(record, read_json(record) | {"policy": "another"})
     (results / job.name / "nominal.csv").unlink()
     whole = evaluations.EVALUATIONS["disturbances"]
 
@@ -202,7 +202,7 @@ def test_a_policy_that_was_trained_with_other_numbers_is_not_measured(
     jobs.carry_out(job, runs, results)
     shutil.rmtree(results)
     path = runs / job.name / "config.json"
-    config = json.loads(path.read_text())
+    config = read_json(path)
     write_json(path, config | {"learner": config["learner"] | {"discount": 0.5}})
     with pytest.raises(CdcsrError, match=r"learner\.discount"):
         jobs.carry_out(job, runs, results)

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import csv
-import io
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from itertools import product
@@ -14,6 +12,7 @@ from cdcsr.envs.disturbances import Disturbances
 from cdcsr.files import write_text
 from cdcsr.robot.description import Robot
 from cdcsr.simulation.engines import backend_names, principal_engines
+from cdcsr.tables import csv_text
 from controllers.controller import Controller
 from training.config.run_description import RunDescription
 from training.measure.evaluation import Array, Result, evaluate
@@ -95,11 +94,8 @@ class Evaluation:
 
     def write(self, path: Path, subject: Subject, asked: int) -> None:
         """Measure a subject and write the file as a whole."""
-        text = io.StringIO(newline="")
-        writer = csv.writer(text, lineterminator="\n")
-        writer.writerow(self.columns)
-        writer.writerows(self.measure(subject, self.episodes(asked)))
-        write_text(path, text.getvalue())
+        rows = self.measure(subject, self.episodes(asked))
+        write_text(path, csv_text(self.columns, rows))
 
 
 def nominal(subject: Subject, episodes: int) -> Iterator[Row]:

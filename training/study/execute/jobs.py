@@ -18,10 +18,10 @@ from typing import IO, TYPE_CHECKING, cast
 
 from cdcsr.cli import run
 from cdcsr.errors import CdcsrError, unknown_choice
-from cdcsr.files import write_bytes, write_json
+from cdcsr.files import sealed, write_bytes, write_json
 from cdcsr.leftovers import sweep
 from cdcsr.locks import lock
-from cdcsr.reading import check_name
+from cdcsr.reading import MOST_TABLE, check_name, read_bytes
 from training.config.run_description import RunDescription
 from training.study.declare.budgets import Budget
 
@@ -205,14 +205,14 @@ def _work(job: Job, missing: list[str], out: Path, folder: Path) -> None:
             # Last: while the record is there, the folder is known to be of another policy.
             (folder / RECORD).unlink(missing_ok=True)
         if (out / METRICS).is_file():  # the behaviour clone alone has no learning curve
-            write_bytes(folder / METRICS, (out / METRICS).read_bytes())
+            write_bytes(folder / METRICS, read_bytes(out / METRICS, MOST_TABLE, "metrics"))
     else:
         robot = load_robot(ROBOT)
         subject = Subject(spec, SCRIPTED[spec.algorithm](robot), robot)
     for name in missing:
         print(f"{job.name}: {name}", flush=True)
         EVALUATIONS[name].write(folder / f"{name}.csv", subject, job.budget.episodes)
-    write_json(folder / RECORD, _record(job, subject, card))
+    write_json(folder / RECORD, sealed(_record(job, subject, card)))
 
 
 def _is_of(folder: Path, digest: str, finished: bool) -> bool:

@@ -74,12 +74,13 @@ def test_report_is_whole_and_replaces_only_reports(
 @pytest.mark.parametrize(
     ("file", "text", "match"),
     [
-        ("nominal.csv", "backend,space\n", "no column axis, level"),
+        ("nominal.csv", "backend,space\n", "has no rows"),
+        ("nominal.csv", "backend,space\nmujoco,anchor\n", "no column axis, level"),
         ("nominal.csv", f"{ROW}zero,0,1,100,0\n", "does not fit"),
         ("nominal.csv", f"{ROW}0,0,7,100,0\n", "success that is not 0 or 1"),
         ("nominal.csv", f"{ROW}0,0,1,nan,0\n", "length that is none"),
         ("nominal.csv", f"{ROW}0,1,1,100,0\n", "episodes 0 to 0 of mujoco, anchor"),
-        ("nominal.csv", "\udcff", "no CSV file"),
+        ("nominal.csv", "\udcff", "it is not UTF-8"),
         ("run.json", "{}", "no field 'spec'"),
         ("run.json", "[", "cannot be read"),
     ],
