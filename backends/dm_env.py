@@ -25,6 +25,7 @@ from cdcsr.envs.episodes import Episodes
 from cdcsr.envs.options import TaskOptions
 from cdcsr.errors import Diverged
 from cdcsr.robot.description import Robot, load_robot
+from cdcsr.robot.ruler import ruler
 from cdcsr.simulation.contract import Array, Simulation
 from cdcsr.simulation.engines import make_simulation
 from cdcsr.tasks.catalogue import actions_per_episode, make_task
@@ -231,7 +232,7 @@ def make_dm_environment(
     backend: str = "mujoco",
     space: str = "anchor",
     seed: int = 0,
-    frame_skip: int = 1,
+    frame_skip: int | None = None,
     centers: Array | None = None,
     flat_observation: bool = False,
     **options: Unpack[TaskOptions],
@@ -247,7 +248,8 @@ def make_dm_environment(
         backend: the engine.
         space: the operation space in which targets are drawn.
         seed: seeds the targets and their motions.
-        frame_skip: how many simulation steps each action is held for.
+        frame_skip: how many simulation steps each action is held for; by default the robot's own
+            number.
         centers: the targets of the demonstrations, shape (n, 3), in [m]; Floating and Spatter
             surround them. By default those of the paper's ten.
         flat_observation: observe one array, "observations", instead of the parts of eq. (1).
@@ -257,8 +259,9 @@ def make_dm_environment(
         CdcsrError: an unknown name, or an impossible number.
     """
     robot = robot if isinstance(robot, Robot) else load_robot(robot)
+    frame_skip = ruler(robot).frame_skip if frame_skip is None else frame_skip
     reward, period = options.pop("reward", None), robot.time_step * frame_skip
-    task = make_task(task, period=period, reward_kind=reward, **options)
+    task = make_task(task, robot, period=period, reward_kind=reward, **options)
     judged = TargetTask(task, make_space(space, robot, centers), robot, frame_skip, seed)
     simulation = make_simulation(robot, backend)
     is_mujoco = isinstance(simulation, MujocoSimulation)

@@ -49,7 +49,8 @@ class Controller(ABC):
         name: the name in tables.
         privileged: whether it is given the true state of the plant and the target's velocity. If
             not, it is given only what eq. (1) holds, after noise, losses and delays.
-        frame_skip: how many simulation steps each of its actions is held for.
+        frame_skip: how many simulation steps each of its actions is held for; None for the robot's
+            own number.
         task: the task it is made for, a name in :data:`cdcsr.tasks.catalogue.TASKS`.
         space: the operation space it was trained in; None if it was not trained.
         start: how the episodes begin that it is made for: still, moving or anywhere.
@@ -58,7 +59,7 @@ class Controller(ABC):
 
     name: str
     privileged: bool = False
-    frame_skip: int = 1
+    frame_skip: int | None = None
     task: str = "reach"
     start: StartName = "still"
     space: str | None = None

@@ -112,6 +112,7 @@ def save(
             "space": env.space.name,
             "start": env.start,
             "frame_skip": env.frame_skip,
+            "threshold": env.task.threshold,
         }
     )
     buffers = []
@@ -142,6 +143,7 @@ def load(
     frame_skip: int = 1,
     task: str | None = None,
     start: str | None = None,
+    threshold: float | None = None,
 ) -> list[Episode]:
     """Read the episodes of a dataset that :func:`save` wrote.
 
@@ -151,9 +153,11 @@ def load(
         frame_skip: how many simulation steps each action must have been held for.
         task: the task that it must be of; by default any.
         start: the start that it must be of; by default any.
+        threshold: the threshold in [m] that its task must have; by default any.
 
     Raises:
-        CdcsrError: it is no such dataset, or it is of another robot, frame skip, task or start.
+        CdcsrError: it is no such dataset, or it is of another robot, frame skip, task, start or
+            threshold.
     """
     from minari import MinariDataset
 
@@ -188,6 +192,12 @@ def load(
         raise CdcsrError(
             f"The demonstrations in {folder} begin {begun!r}, and only those that begin {start!r} "
             f"can be used here; record some with `cdcsr demonstrate --start {start}`."
+        )
+    near = metadata.get("threshold", threshold)  # older datasets have no such entry
+    if threshold is not None and near != threshold:
+        raise CdcsrError(
+            f"The demonstrations in {folder} have a threshold of {near:g} m, not {threshold:g} m; "
+            "record some with the same --threshold."
         )
     return [
         Episode(

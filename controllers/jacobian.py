@@ -8,6 +8,7 @@ from scipy.optimize import lsq_linear, nnls
 
 from cdcsr.errors import CdcsrError
 from cdcsr.robot.description import Robot
+from cdcsr.robot.ruler import ruler
 from cdcsr.simulation.contract import Dynamics, State
 from controllers.controller import Conditions, Controller, Target
 
@@ -31,12 +32,15 @@ class JacobianController(Controller):
 
     Args:
         robot: the description.
-        gain: in [1/s].
-        speed: largest tip speed wished for, in [m/s].
-        regularization: weight of |t|^2 against |v+ - v*|^2, in [(m/s/N)^2].
+        gain: in [1/s]; by default 14 for the paper's robot, and in proportion to its pace for
+            another one, as all numbers here are to size, pace and pull.
+        speed: largest tip speed wished for, in [m/s]; by default the robot's own, 2 m/s for that of
+            the paper.
+        regularization: weight of |t|^2 against |v+ - v*|^2, in [(m/s/N)^2]; by default 1e-8.
         calm: weight of the hinges' squared rates against |v+ - v*|^2 at the target, in [m^2]; used
-            only where the tip has to stay there.
-        calm_within: distance from the target at which that weight is half as large, in [m].
+            only where the tip has to stay there; by default 0.02.
+        calm_within: distance from the target at which that weight is half as large, in [m]; by
+            default 0.1.
     """
 
     name = "jacobian"
@@ -45,14 +49,20 @@ class JacobianController(Controller):
     def __init__(
         self,
         robot: Robot,
-        gain: float = 14.0,
-        speed: float = 2.0,
-        regularization: float = 1e-8,
-        calm: float = 0.02,
-        calm_within: float = 0.1,
+        gain: float | None = None,
+        speed: float | None = None,
+        regularization: float | None = None,
+        calm: float | None = None,
+        calm_within: float | None = None,
     ) -> None:
-        self.gain, self.speed, self.regularization = gain, speed, regularization
-        self.calm, self.calm_within = calm, calm_within
+        own = ruler(robot)
+        softness = (own.speed / own.pull) ** 2
+        self.frame_skip = own.frame_skip
+        self.gain = 14.0 / own.pace if gain is None else gain
+        self.speed = own.tip_speed if speed is None else speed
+        self.regularization = 1e-8 * softness if regularization is None else regularization
+        self.calm = 0.02 * own.size**2 if calm is None else calm
+        self.calm_within = 0.1 * own.size if calm_within is None else calm_within
         num_cables = robot.num_cables
         self._without_sliders = np.r_[0:6, 6 + num_cables : robot.num_coordinates]
         hinges = np.array([(hinge.stiffness, hinge.damping) for hinge in robot.hinges])

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from cdcsr.envs.gym_env import TaskVectorEnv
 from cdcsr.errors import CdcsrError
 from cdcsr.robot.description import Robot
+from cdcsr.robot.ruler import ruler
 from cdcsr.simulation.contract import State
 from controllers.controller import Conditions, Controller, Target
 from controllers.demonstrations import record
@@ -39,6 +40,7 @@ class Nearest(Controller):
 
     def __init__(self, robot: Robot, demonstrations: Sequence[Episode] = ()) -> None:
         self._robot, self._given = robot, list(demonstrations)
+        self.frame_skip = ruler(robot).frame_skip
         self._recorded: dict[tuple[str, int, bool], list[Episode]] = {}
 
     def begin(self, conditions: Conditions) -> None:

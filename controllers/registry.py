@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from cdcsr.errors import CdcsrError, unknown_choice
 from cdcsr.robot.description import Robot
+from cdcsr.robot.ruler import ruler
 from cdcsr.simulation.contract import State
 from controllers.controller import Conditions, Controller, Target
 from controllers.demonstrations import load
@@ -45,7 +46,7 @@ def scripted_controller(name: str, robot: Robot) -> Controller | None:
         return SCRIPTED[name](robot)
     before, colon, after = name.partition(":")
     if before == Nearest.name and after:
-        return Nearest(robot, load(Path(after), robot.fingerprint))
+        return Nearest(robot, load(Path(after), robot.fingerprint, ruler(robot).frame_skip))
     if colon and not Path(name).exists():
         return load_controller(name, robot)
     return None
@@ -71,7 +72,8 @@ class LoadedController(Controller):
         self._acting = acting
         self.name = str(getattr(acting, "name", name))
         self.privileged = bool(getattr(acting, "privileged", False))
-        self.frame_skip = int(getattr(acting, "frame_skip", 1))
+        own = getattr(acting, "frame_skip", None)
+        self.frame_skip = None if own is None else int(own)
         self.task = str(getattr(acting, "task", "reach"))
 
     @property

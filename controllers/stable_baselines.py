@@ -31,13 +31,14 @@ class StableBaselines(Controller):
 
     Args:
         path: what `model.save` wrote, of SAC, TD3, DDPG or PPO.
-        frame_skip: how many simulation steps each action was held for in training.
+        frame_skip: how many simulation steps each action was held for in training; by default the
+            robot's own number.
 
     Raises:
         CdcsrError: stable-baselines3 is not installed, or the file holds no such policy.
     """
 
-    def __init__(self, path: Path | str, frame_skip: int = 1) -> None:
+    def __init__(self, path: Path | str, frame_skip: int | None = None) -> None:
         self.name, self.frame_skip = Path(path).stem, frame_skip
         self._path, self._model = Path(path), _load(Path(path))
 

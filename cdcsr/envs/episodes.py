@@ -34,7 +34,10 @@ class Episodes:
 
     def __init__(self, num: int, task: Task, space: Space, drifts: bool = False) -> None:
         self.space, self._task = space, task
-        self._motion, self._moving = make_motion(task.motion), task.motion != "rest"
+        self._motion, self._moving = (
+            make_motion(task.motion, task.size, task.pace),
+            task.motion != "rest",
+        )
         self._motion_memory = np.zeros((num, self._motion.size))
         self.targets, self.target_velocity, self.drift = np.zeros((3, num, 3))
         # Targets move in a frame that drifts; without drift it is the world.

@@ -17,6 +17,7 @@ from cdcsr.envs.options import read_reset_options
 from cdcsr.envs.rng_state import pack_generator, unpack_generator
 from cdcsr.errors import CdcsrError, Diverged
 from cdcsr.robot.description import Robot, load_robot
+from cdcsr.robot.ruler import ruler
 from cdcsr.simulation.arguments import MOST_COPIES, MOST_SEED, MOST_SKIP, as_floats, check_count
 from cdcsr.simulation.contract import Snapshot, State
 from cdcsr.simulation.engines import make_simulation
@@ -70,7 +71,7 @@ class TaskVectorEnv(VectorEnv[Array, Array, NDArray[np.generic]]):
         backend: str = "mujoco",
         space: str = "anchor",
         reward: Reward | None = None,
-        frame_skip: int = 1,
+        frame_skip: int | None = None,
         max_steps: int | None = None,
         threshold: float | None = None,
         centers: Array | None = None,
@@ -89,10 +90,12 @@ class TaskVectorEnv(VectorEnv[Array, Array, NDArray[np.generic]]):
                 "autoreset_mode must be SAME_STEP or DISABLED; NEXT_STEP would waste a step."
             )
         self.robot = robot if isinstance(robot, Robot) else load_robot(robot)
+        frame_skip = ruler(self.robot).frame_skip if frame_skip is None else frame_skip
         check_count("frame_skip", frame_skip, MOST_SKIP)
         self.backend, self.frame_skip = backend, frame_skip
         self.task = make_task(
             task,
+            self.robot,
             reward_kind=reward,
             max_steps=max_steps,
             threshold=threshold,

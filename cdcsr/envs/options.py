@@ -44,8 +44,9 @@ class EnvOptions(TaskOptions, total=False):
     """The engine; by default "mujoco"."""
     space: str
     """The operation space in which targets are drawn; by default "anchor"."""
-    frame_skip: int
-    """How many simulation steps each action is held for; by default 1."""
+    frame_skip: int | None
+    """How many simulation steps each action is held for; by default the robot's own number, 1 for
+    that of the paper."""
     centers: Array | None
     """The targets of the demonstrations, shape (n, 3), in [m]; Floating and Spatter surround
     them. By default those of the paper's ten."""

@@ -45,6 +45,7 @@ from cdcsr.robot.parts import (
     Vector,
     joined,
 )
+from cdcsr.robot.scale import Scale
 from cdcsr.robot.section_rules import errors_between_sections
 from cdcsr.robot.segments import Segment, Servo
 from cdcsr.robot.toml_errors import describe_all, report_again, without_echoes
@@ -109,7 +110,7 @@ class MujocoOptions(Part):
 class Robot(Part):
     """The description of a robot; :func:`load_robot` loads one."""
 
-    later = ("gravity",)
+    later = ("gravity", "scale")
     name: Annotated[str, Field(pattern=r"^[a-z][a-z0-9-]*$", max_length=64)]
     """Lower-case letters, digits and hyphens."""
     time_step: Positive
@@ -121,6 +122,8 @@ class Robot(Part):
     workspace: Workspace
     segments: Annotated[tuple[Segment, ...], Strict(False), Field(min_length=1)]
     mujoco: MujocoOptions = MujocoOptions()
+    scale: Scale = Scale()
+    """Numbers of the tasks; by default they follow from the arm's length and pace."""
 
     @model_validator(mode="wrap")
     @classmethod
@@ -228,8 +231,8 @@ class Robot(Part):
 
     @property
     def fingerprint(self) -> str:
-        """A hash of every number that affects the motion; the name is not part of it."""
-        data = self.model_dump(mode="json", exclude={"name"})
+        """A hash of every number that affects the motion; name and scale are not part of it."""
+        data = self.model_dump(mode="json", exclude={"name", "scale"})
         return hashlib.sha256(json.dumps(data, sort_keys=True).encode()).hexdigest()[:16]
 
     def to_toml(self) -> str:

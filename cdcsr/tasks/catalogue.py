@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import ClassVar
+from typing import ClassVar, Self
 
 import numpy as np
 from numpy.typing import NDArray
 
 from cdcsr.errors import CdcsrError, unknown_choice
+from cdcsr.robot.description import Robot
+from cdcsr.robot.ruler import rounded, ruler
 from cdcsr.simulation.arguments import check_count
 from cdcsr.simulation.contract import State
 from cdcsr.tasks.observation import BASE_POSITION, BASE_QUATERNION, DISTANCE, TIP_VELOCITY
@@ -44,6 +46,11 @@ class Capture(Task):
 
     kind: ClassVar[str] = "capture"
     count_names: ClassVar[tuple[str, ...]] = ("dwelt",)
+
+    def of(self, robot: Robot) -> Self:
+        own = ruler(robot)
+        dwell = rounded(self.dwell * own.pace)
+        return replace(super().of(robot), speed=own.capture_speed, dwell=dwell)
 
     def _is_slow(self, relative_velocity: Array) -> Mask:
         return np.linalg.norm(relative_velocity, axis=1) < self.speed
@@ -85,6 +92,9 @@ class Follow(Task):
         "since_contact",
         "on_target",
     )
+
+    def of(self, robot: Robot) -> Self:
+        return replace(super().of(robot), settling=rounded(self.settling * ruler(robot).pace))
 
     def _count(self, on_target: Mask, counts: Counts) -> None:
         counts["actions"] += 1
@@ -146,14 +156,16 @@ TASKS: dict[str, Task] = {
         Follow(motion="random"),
     )
 }
-"""All named tasks: reach, precise, quiet, capture, capture-drift, ..., follow-line, ..."""
+"""All named tasks, with the numbers of the paper's robot: reach, precise, quiet, capture, ..."""
 
 
-def make_task(name: str | Task, **changes: object) -> Task:
+def make_task(name: str | Task, robot: Robot | None = None, **changes: object) -> Task:
     """Return a task with some of its numbers changed.
 
     Args:
         name: a name in :data:`TASKS`, or a task.
+        robot: a task given by its name has this robot's own numbers; by default those of the
+            paper's.
         changes: fields of the task; a value of None changes nothing.
 
     Raises:
@@ -162,7 +174,7 @@ def make_task(name: str | Task, **changes: object) -> Task:
     if isinstance(name, str):
         if name not in TASKS:
             raise CdcsrError(unknown_choice("task", name, TASKS))
-        name = TASKS[name]
+        name = TASKS[name] if robot is None else TASKS[name].of(robot)
     return replace(name, **{field: value for field, value in changes.items() if value is not None})
 
 

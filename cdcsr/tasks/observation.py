@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cdcsr.robot.description import Robot
+from cdcsr.robot.ruler import ruler
 from cdcsr.simulation.contract import State
 
 Array = NDArray[np.float64]
@@ -39,14 +40,28 @@ class Part:
     """The field of :class:`State` that holds it, or `target` or `distance`."""
     kind: Kind
     scale: float
-    """The range in which a network should tell values apart, in the quantity's own unit."""
-    centre: Literal["zero", "workspace", "identity"] = "zero"
+    """The range in which a network should tell values apart, in the quantity's own unit, for the
+    paper's robot; see :meth:`scale_of`."""
+    centre: Literal["zero", "workspace", "base position", "base quaternion"] = "zero"
     """The value that a network sees as zero: zero, the middle of the robot's workspace in [m], or
-    the unit quaternion that turns nothing."""
+    where its base starts."""
 
     def width(self, num_cables: int) -> int:
         """Return how many numbers of the observation this part takes."""
         return num_cables if self.kind == "per cable" else _WIDTHS[self.kind]
+
+    def scale_of(self, robot: Robot) -> float:
+        """Return its scale for a robot of any size and pace."""
+        own = ruler(robot)
+        factors = {
+            "position": own.size,
+            "velocity": own.speed,
+            "scalar": own.size,
+            "quaternion": 1.0,
+            "axial vector": 1 / own.pace,
+            "per cable": own.travel,
+        }
+        return self.scale * factors[self.kind]
 
 
 # The scales are wide on purpose: a base position scaled to the millimetres that it moves would make
@@ -56,8 +71,8 @@ PARTS = (
     Part("tip_velocity", "velocity", 1.0),
     Part("target", "position", 0.3, "workspace"),
     Part("distance", "scalar", 0.3),
-    Part("base_position", "position", 0.1),
-    Part("base_quaternion", "quaternion", 0.1, "identity"),
+    Part("base_position", "position", 0.1, "base position"),
+    Part("base_quaternion", "quaternion", 0.1, "base quaternion"),
     Part("base_velocity", "velocity", 0.1),
     Part("base_angular_velocity", "axial vector", 0.1),
     Part("cable_travel", "per cable", 0.03),
@@ -164,7 +179,11 @@ def with_target(observations: Array, target: Array) -> Array:
 
 def input_offset(robot: Robot) -> Array:
     """Return the value of each number of eq. (1) that a network sees as zero, shape (size,)."""
-    centres = {"workspace": robot.workspace.center, "identity": (1.0, 0.0, 0.0, 0.0)}
+    centres = {
+        "workspace": robot.workspace.center,
+        "base position": robot.base.position,
+        "base quaternion": robot.base.quaternion,
+    }
     return np.concatenate(
         [centres.get(part.centre, np.zeros(part.width(robot.num_cables))) for part in PARTS]
     )
@@ -173,4 +192,9 @@ def input_offset(robot: Robot) -> Array:
 def input_scale(robot: Robot) -> Array:
     """Return the amount by which each number of eq. (1) is divided for a network, shape (size,)."""
     widths = [part.width(robot.num_cables) for part in PARTS]
-    return np.repeat([part.scale for part in PARTS], widths)
+    return np.repeat([part.scale_of(robot) for part in PARTS], widths)
+
+
+def error_scale(robot: Robot) -> float:
+    """Return the amount by which the vector from tip to target is divided for a network."""
+    return 0.1 * ruler(robot).size

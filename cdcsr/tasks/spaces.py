@@ -12,14 +12,15 @@ from numpy.typing import NDArray
 
 from cdcsr.errors import CdcsrError, unknown_choice
 from cdcsr.robot.description import Robot
+from cdcsr.robot.ruler import ruler
 from cdcsr.simulation.arguments import as_floats
 from cdcsr.tasks.workspace_map import load_workspace
 
 Array = NDArray[np.float64]
 
-RADIUS = {"floating": 0.01, "spatter": 0.15}
-"""The largest distance from the demonstrations' targets, xi_F and xi_S, in [m]."""
-SPACES = ("anchor", *RADIUS)
+BALLS = ("floating", "spatter")
+"""The spaces of balls around the demonstrations' targets."""
+SPACES = ("anchor", *BALLS)
 """The spaces of the paper, which every robot has."""
 WORKSPACE = "workspace"
 """The space of all targets that the demonstrator reaches; it needs a map of the workspace."""
@@ -136,8 +137,10 @@ def make_space(name: str, robot: Robot, centers: Array | None = None) -> Space:
         return anchor(robot)
     if name == WORKSPACE or name.endswith(".npz"):
         return load_workspace(robot, None if name == WORKSPACE else Path(name))
-    if name not in RADIUS:
+    if name not in BALLS:
         raise CdcsrError(unknown_choice("space", name, (*SPACES, WORKSPACE)))
     if centers is None:
         centers = demonstration_targets(robot)
-    return Balls(name, as_floats("centers", centers, (-1, 3)), RADIUS[name])
+    own = ruler(robot)
+    radius = own.floating if name == "floating" else own.spatter
+    return Balls(name, as_floats("centers", centers, (-1, 3)), radius)

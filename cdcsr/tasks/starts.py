@@ -38,6 +38,7 @@ from numpy.typing import NDArray
 
 from cdcsr.errors import CdcsrError, unknown_choice
 from cdcsr.robot.description import Robot
+from cdcsr.robot.ruler import ruler
 from cdcsr.simulation.contract import Simulation
 from cdcsr.simulation.engines import make_simulation
 from cdcsr.simulation.rotations import rotation_matrix
@@ -48,14 +49,15 @@ Array = NDArray[np.float64]
 StartName = Literal["still", "moving", "anywhere"]
 
 SPEED, RATE = 0.02, 0.02
-"""The largest speed of the base, in [m/s], and its largest rate of turning, in [rad/s]. Both are
-uniform from zero; so are their directions over the sphere."""
+"""The largest speed of the base, in [m/s], and its largest rate of turning, in [rad/s], of the
+paper's robot. Both are uniform from zero; so are their directions over the sphere."""
 ENGINE = "mujoco"
 """The engine that simulates the bank."""
 BANK = 256
 """The number of states in the bank."""
 HOLD = 0.2
-"""The longest time for which a command of the bank is held, in [s]; uniform from one time step."""
+"""The longest time for which a command of the bank is held, in [s], with the paper's robot; uniform
+from one time step."""
 
 
 class Start(NamedTuple):
@@ -95,8 +97,23 @@ class Starts:
         """Check that a task can begin so.
 
         Raises:
-            CdcsrError: it is quiet, and the base drifts.
+            CdcsrError: it is quiet, and the base drifts; or the base does not start at the origin,
+                or cannot move, as it would have to.
         """
+        base = self._robot.base
+        if (self.varies or task.quiet) and (
+            base.position != (0.0, 0.0, 0.0) or base.quaternion != (1.0, 0.0, 0.0, 0.0)
+        ):
+            what = f"start {self.name!r}" if self.varies else f"task {task.name!r}"
+            raise CdcsrError(
+                f"The {what} is for a base that begins at the world's origin, unturned; that of "
+                f"{self._robot.name!r} does not. Choose another one."
+            )
+        if self.varies and base.mount == "fixed":
+            raise CdcsrError(
+                f"With start {self.name!r} the base drifts, and that of {self._robot.name!r} is "
+                "fixed; choose start 'still'."
+            )
         if task.quiet and self.varies:
             raise CdcsrError(
                 f"With start {self.name!r} the base drifts by itself, so that the task "
@@ -130,10 +147,11 @@ class Starts:
             size = self._robot.num_coordinates
             position, velocity = np.zeros((num, size + 1)), np.zeros((num, size))
             position[:, 3] = 1.0
-        drift = directions(rng, num) * rng.uniform(0, SPEED, (num, 1))
+        own = ruler(self._robot)
+        drift = directions(rng, num) * rng.uniform(0, SPEED * own.speed, (num, 1))
         # Sliders and hinges are relative to the base: the robot gets this motion as a whole.
         velocity[:, :3] += drift
-        velocity[:, 3:6] += directions(rng, num) * rng.uniform(0, RATE, (num, 1))
+        velocity[:, 3:6] += directions(rng, num) * rng.uniform(0, RATE / own.pace, (num, 1))
         return Start(position, velocity, drift)
 
 
@@ -149,7 +167,7 @@ def start_name(name: str) -> StartName:
     raise CdcsrError(unknown_choice("start", name, get_args(StartName)))
 
 
-_BANKS: dict[tuple[str, int], tuple[Array, Array]] = {}
+_BANKS: dict[tuple[str, float, int], tuple[Array, Array]] = {}
 
 
 def bank(robot: Robot, seed: int) -> tuple[Array, Array]:
@@ -157,14 +175,14 @@ def bank(robot: Robot, seed: int) -> tuple[Array, Array]:
 
     They are simulated at the first call and kept.
     """
-    key = robot.fingerprint, seed
+    key = robot.fingerprint, ruler(robot).pace, seed
     if key not in _BANKS:
         _BANKS[key] = _simulate(robot, np.random.default_rng(seed))
     return _BANKS[key]
 
 
 def _simulate(robot: Robot, rng: np.random.Generator) -> tuple[Array, Array]:
-    num, most = BANK // 2, max(1, round(HOLD / robot.time_step))
+    num, most = BANK // 2, max(1, round(HOLD * ruler(robot).pace / robot.time_step))
     eta = np.array([servo.eta for servo in robot.servos])
     commands = -rng.random((2, num, robot.num_cables)) * eta
     ends = rng.integers(1, most, size=(2, num), endpoint=True).cumsum(axis=0)

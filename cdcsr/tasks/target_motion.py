@@ -7,7 +7,8 @@ remember of each copy is one row of numbers, its memory, which can be saved and 
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from typing import Literal, get_args
+from copy import copy
+from typing import ClassVar, Literal, Self, get_args
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,6 +24,16 @@ class Motion(ABC):
 
     size: int = 0
     """How many numbers the memory of a copy has."""
+    units: ClassVar[dict[str, tuple[int, int]]] = {}
+    """The powers of metres and seconds in the unit of each number."""
+
+    def scaled(self, size: float, pace: float) -> Self:
+        """Return the same motion with all lengths times `size` and all times times `pace`."""
+        twin = copy(self)
+        for name, (metres, seconds) in self.units.items():
+            factor = size**metres * pace**seconds
+            setattr(twin, name, np.multiply(getattr(self, name), factor))
+        return twin
 
     @abstractmethod
     def begin(self, rng: np.random.Generator, position: Array) -> tuple[Array, Array]:
@@ -61,6 +72,7 @@ class Rest(Motion):
 class Drift(Motion):
     """Move at a constant velocity in any direction, as debris that floats by."""
 
+    units = {"speed": (1, -1)}  # noqa: RUF012 (the base class says that it is one)
     speed = 0.1
     """The largest speed, in [m/s]; speeds are uniform from zero."""
 
@@ -77,6 +89,7 @@ class Drift(Motion):
 class Line(Drift):
     """Move straight down at a constant speed, as in Fig. 6 of the BATD3 paper."""
 
+    units = {"slowest": (1, -1), "speed": (1, -1)}  # noqa: RUF012
     slowest, speed = 0.05, 0.1
     """The least and the largest speed, in [m/s]; speeds are uniform between them."""
 
@@ -108,6 +121,7 @@ class Tumble(Turning):
     """Move as a point on tumbling debris. The axis may have any direction, so the speed is at most
     radius times rate."""
 
+    units = {"radius": (1, 0), "rate": (0, -1)}  # noqa: RUF012
     radius = (0.03, 0.1)
     """The least and the largest distance from the debris's centre, in [m]; uniform."""
     rate = (0.2, 1.0)
@@ -124,6 +138,7 @@ class Tumble(Turning):
 class Circle(Turning):
     """Move on a horizontal circle to the left or the right, starting anywhere on it."""
 
+    units = {"radius": (1, 0), "rate": (0, -1)}  # noqa: RUF012
     radius = (0.03, 0.06)
     """The least and the largest radius, in [m]; uniform."""
     rate = 2.5
@@ -145,6 +160,10 @@ class Wander(Motion):
     After the last one the first follows; a Follow episode of the usual length ends before that.
     """
 
+    units = {  # noqa: RUF012
+        **{"hold": (0, 1), "acceleration": (1, -2)},
+        **{"spring": (0, -2), "damper": (0, -1)},
+    }
     hold = 0.25
     """How long each acceleration lasts, in [s]."""
     acceleration = 0.4
@@ -182,15 +201,20 @@ MOTIONS: dict[str, Motion] = {
 }
 
 
-def make_motion(name: str) -> Motion:
+def make_motion(name: str, size: float = 1.0, pace: float = 1.0) -> Motion:
     """Return a motion by its name in :data:`MOTIONS`.
+
+    Args:
+        name: which motion.
+        size: all its lengths are multiplied by it.
+        pace: all its times are multiplied by it.
 
     Raises:
         CdcsrError: there is no such motion.
     """
     if name not in MOTIONS:
         raise CdcsrError(unknown_choice("motion", name, get_args(MotionName)))
-    return MOTIONS[name]
+    return MOTIONS[name].scaled(size, pace)
 
 
 def directions(rng: np.random.Generator, num: int) -> Array:

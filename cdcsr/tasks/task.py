@@ -7,13 +7,15 @@ from __future__ import annotations
 
 import math
 from abc import ABC, abstractmethod
-from dataclasses import dataclass
-from typing import ClassVar, Literal, NamedTuple, get_args
+from dataclasses import dataclass, replace
+from typing import ClassVar, Literal, NamedTuple, Self, get_args
 
 import numpy as np
 from numpy.typing import NDArray
 
 from cdcsr.errors import CdcsrError
+from cdcsr.robot.description import Robot
+from cdcsr.robot.ruler import rounded, ruler
 from cdcsr.simulation.arguments import check_count
 from cdcsr.simulation.contract import State
 from cdcsr.tasks.observation import DISTANCE
@@ -26,8 +28,8 @@ Counts = dict[str, NDArray[np.int64]]
 Reward = Literal["sparse", "dense"]
 _MOST_STEPS = 10_000_000
 BASE_SHIFT, BASE_TILT = 0.003, 0.05
-"""The largest distance of a quiet base from its start, in [m] and [rad]. The paper reports these
-values for its Fig. 6."""
+"""The largest distance of a quiet base from its start, in [m] and [rad], for the paper's robot. The
+paper reports these values for its Fig. 6."""
 
 
 class Verdict(NamedTuple):
@@ -61,12 +63,22 @@ class Task(ABC):
     motion: MotionName = "rest"
     """How the target moves: a name in :data:`cdcsr.tasks.target_motion.MOTIONS`."""
     quiet: bool = False
-    """The tip is on the target only while the base is within `BASE_SHIFT` and `BASE_TILT` of its
+    """The tip is on the target only while the base is within `base_shift` and `base_tilt` of its
     start."""
     max_steps: int = 250
     """An episode is truncated after this many simulation steps."""
     period: float = 0.0025
     """The time from one action to the next, in [s]; an environment sets its own."""
+    own_threshold: float = 0.03
+    """The robot's own threshold, which the name leaves out, in [m]."""
+    base_shift: float = BASE_SHIFT
+    """In [m]."""
+    base_tilt: float = BASE_TILT
+    """In [rad]."""
+    size: float = 1.0
+    """All lengths of the target's motion are multiplied by it."""
+    pace: float = 1.0
+    """All times of the target's motion are multiplied by it."""
 
     kind: ClassVar[str]
     ends: ClassVar[bool] = True
@@ -91,10 +103,27 @@ class Task(ABC):
             *([self.motion] if self.motion != "rest" else []),
             *(["quiet"] if self.quiet else []),
         ]
-        if self.threshold != Task.threshold:
+        if self.threshold == rounded(self.own_threshold / 3, 12):
+            parts.append("precise")
+        elif self.threshold != self.own_threshold:
             parts.append(f"{1e3 * self.threshold:g}mm")
         name = "-".join(parts)
-        return {"reach-quiet": "quiet", "reach-10mm": "precise"}.get(name, name)
+        return {"reach-quiet": "quiet", "reach-precise": "precise"}.get(name, name)
+
+    def of(self, robot: Robot) -> Self:
+        """Return this task of the paper's robot with another robot's own numbers."""
+        own = ruler(robot)
+        seconds = own.seconds * (self.max_steps / Task.max_steps)
+        return replace(
+            self,
+            threshold=rounded(own.threshold * (self.threshold / Task.threshold), 12),
+            own_threshold=own.threshold,
+            base_shift=own.base_shift,
+            base_tilt=own.base_tilt,
+            max_steps=max(1, round(seconds / robot.time_step)),
+            size=own.size,
+            pace=own.pace,
+        )
 
     def new_counts(self, num: int) -> Counts:
         """Return the counts of `num` episodes that begin."""
@@ -141,7 +170,7 @@ class Task(ABC):
         near = distance <= self.threshold
         if self.quiet:
             shift, tilt = base_errors(base_position, base_quaternion)
-            near &= (shift <= BASE_SHIFT) & (tilt <= BASE_TILT)
+            near &= (shift <= self.base_shift) & (tilt <= self.base_tilt)
         return near & self._is_slow(relative_velocity)
 
     def _is_slow(self, relative_velocity: Array) -> Mask:

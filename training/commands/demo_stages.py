@@ -155,7 +155,7 @@ class Demo:
         yield Stage(f"ten demonstrations in {engine}", robot, (DEMONSTRATIONS,), self._demonstrate)
         yield Stage(
             f"BC and BATD3 in {engine}",
-            {**self._training.identity(self._robot.fingerprint), "minutes": self._amounts.minutes},
+            {**self._training.identity(self._robot), "minutes": self._amounts.minutes},
             (f"{RUN}/policy.json", f"{CLONE}/policy.json"),
             self._train,
         )

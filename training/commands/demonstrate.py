@@ -13,11 +13,14 @@ def demonstrate(
     *,
     out: Path,
     robot: str = "paper",
-    frame_skip: int = 1,
+    frame_skip: int | None = None,
     backend: str = "mujoco",
     space: str = "anchor",
     task: str = "reach",
     start: str = "still",
+    threshold: float | None = None,
+    seconds: float | None = None,
+    radius: float | None = None,
     episodes: int = 10,
     seed: int = 0,
     force: bool = False,
@@ -29,12 +32,16 @@ def demonstrate(
         out: the folder of the dataset. Minari's own commands find it in the folder that
             MINARI_DATASETS_PATH names if its name ends in a version, as `demos-v0` does.
         robot: a shipped robot's name, or a path ending in .toml.
-        frame_skip: how many simulation steps each command is held for.
+        frame_skip: how many simulation steps each command is held for; by default the robot's own
+            number, 1 for the paper's robot.
         backend: the engine.
         space: the operation space of the targets: anchor, floating, spatter or workspace.
         task: reach, precise, quiet, capture, capture-drift, capture-tumble, follow-line,
             follow-circle or follow-random.
         start: how episodes begin: still, moving or anywhere (`cdcsr.tasks.starts`).
+        threshold: the tip is on the target within this distance, in m; by default the robot's own.
+        seconds: how long an episode may take, in s; by default the robot's own.
+        radius: of the balls of Floating or Spatter, in m; by default the robot's own.
         episodes: how many successful episodes.
         seed: seed of the targets.
         force: replace an existing folder.
@@ -43,16 +50,20 @@ def demonstrate(
     from cdcsr.envs.gym_env import TaskVectorEnv
     from cdcsr.files import write_json
     from cdcsr.folders import new_folder
+    from cdcsr.robot.description import load_robot
     from cdcsr.simulation.arguments import MOST_COPIES, check_count
+    from cdcsr.tasks.feasible import adjusted, check_targets
     from controllers import demonstrations
     from controllers.dataset_files import dataset_id
     from controllers.jacobian import JacobianController
 
     check_count("episodes", episodes, MOST_COPIES)
     name = dataset_id(out)
+    description = adjusted(load_robot(robot), task, [space], threshold, seconds, radius)
     with new_folder(out, "demonstrations", force) as folder:
         options = {"frame_skip": frame_skip, "task": task, "autoreset_mode": "Disabled"}
-        env = TaskVectorEnv(episodes, robot, backend, space, start=start, **options)
+        env = TaskVectorEnv(episodes, description, backend, space, start=start, **options)
+        check_targets(description, env.task, env.space, bent=start == "anywhere")
         controller = JacobianController(env.robot)
         recorded, failed, diverged = demonstrations.record(controller, env, episodes, seed)
         demonstrations.save(folder, recorded, env, controller.name, name)
@@ -65,7 +76,7 @@ def demonstrate(
         "space": space,
         "start": env.start,
         "seed": seed,
-        **_numbers(recorded, failed, frame_skip),
+        **_numbers(recorded, failed, env.frame_skip),
         "diverged": diverged,
     }
     print(

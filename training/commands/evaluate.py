@@ -14,6 +14,9 @@ def evaluate(
     space: str | None = None,
     task: str | None = None,
     start: str | None = None,
+    threshold: float | None = None,
+    seconds: float | None = None,
+    radius: float | None = None,
     episodes: int = 100,
     seed: int | None = None,
     action_noise: float = 0.0,
@@ -35,6 +38,10 @@ def evaluate(
         task: the task; by default the one it was trained for.
         start: how episodes begin: still, moving or anywhere (`cdcsr.tasks.starts`); by default as
             in the training.
+        threshold: the tip is on the target within this distance, in m; by default as in the
+            training, or the robot's own; so too the next two.
+        seconds: how long an episode may take, in s.
+        radius: of the balls of Floating or Spatter, in m.
         episodes: how many episodes, run as one batch.
         seed: seed of the targets; by default the one that nothing is tuned on.
         action_noise: standard deviation of noise on the commands, in [m] of set-point.
@@ -62,4 +69,5 @@ def evaluate(
         Disturbances(action_noise, base_noise, packet_loss),
         task or controller.task,
         start or controller.start,
+        (threshold, seconds, radius),
     )

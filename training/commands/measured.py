@@ -24,10 +24,28 @@ def report_cells(
     disturbances: Disturbances | None,
     task: str,
     start: str,
+    numbers: tuple[float | None, float | None, float | None] = (None, None, None),
 ) -> None:
-    """Measure controllers, print the table, write the JSON file and draw the picture."""
+    """Measure controllers, print the table, write the JSON file and draw the picture.
+
+    Args:
+        controllers: what is measured.
+        robot: the description that they all act on.
+        backend: an engine, or all.
+        spaces: where targets lie.
+        episodes: how many episodes in each cell.
+        seed: seed of the targets; None for the held-out ones.
+        json: where results are written, if anywhere.
+        plot: where the picture is drawn, if anywhere.
+        disturbances: between controllers and robot, if any.
+        task: the name of the task.
+        start: the states in which episodes begin.
+        numbers: threshold in [m], seconds of an episode and radius of the space in [m]; None for
+            the robot's own.
+    """
     from cdcsr.files import refuse_unwritable, write_json
     from cdcsr.simulation.engines import chosen_backends
+    from cdcsr.tasks.feasible import adjusted
     from training.config.seeds import TEST_SEED
     from training.measure.transfer_matrix import (
         disagreements,
@@ -43,6 +61,9 @@ def report_cells(
 
     if plot is not None:
         refuse_unwritable(plot)
+    robot = adjusted(robot, task, spaces, *numbers)
+    for controller in controllers:
+        check_spaces(controller, robot, task, spaces, start)
     backends, seed = chosen_backends(backend), TEST_SEED if seed is None else seed
     cells = measure(
         controllers, robot, backends, spaces, episodes, seed, disturbances, task, start, progress
@@ -62,6 +83,23 @@ def report_cells(
         write_json(json, found)
     if plot is not None:
         _draw(cells, robot, plot)
+
+
+def check_spaces(
+    controller: Controller, robot: Robot, task: str, spaces: list[str], start: str
+) -> None:
+    """Check that the targets of a controller make a task of it in every space.
+
+    Raises:
+        CdcsrError: in one of them targets are reached at once, or are out of reach.
+    """
+    from cdcsr.tasks.catalogue import make_task
+    from cdcsr.tasks.feasible import check_targets
+    from cdcsr.tasks.spaces import make_space
+
+    for name in spaces:
+        space = make_space(name, robot, controller.centers)
+        check_targets(robot, make_task(task, robot), space, bent=start == "anywhere")
 
 
 def _draw(cells: list[Cell], robot: Robot, plot: Path) -> None:

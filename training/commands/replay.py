@@ -11,7 +11,7 @@ def replay(
     *,
     backend: str = "all",
     robot: str | None = None,
-    frame_skip: int = 1,
+    frame_skip: int | None = None,
     json: Path | None = None,
 ) -> None:
     """Replay recorded commands open loop in each engine, and compare the paths of the tips.
@@ -21,12 +21,14 @@ def replay(
         backend: an engine, or all.
         robot: a shipped robot's name, or a path ending in .toml; by default the robot in the
             dataset, and the dataset must be of it.
-        frame_skip: how many simulation steps each command was held for.
+        frame_skip: how many simulation steps each command was held for; by default the robot's own
+            number.
         json: also write the distances to this file.
     """
     from cdcsr.errors import CdcsrError
     from cdcsr.files import write_json
     from cdcsr.robot.description import differences, load_robot
+    from cdcsr.robot.ruler import ruler
     from cdcsr.simulation.engines import chosen_backends
     from controllers import demonstrations
     from controllers.dataset_files import stored_robot
@@ -39,6 +41,7 @@ def replay(
             f"The demonstrations in {dataset} are of their own robot {own.name!r}, which differs "
             f"from {description.name!r} ({differences(own, description)}); leave --robot out."
         )
+    frame_skip = ruler(description).frame_skip if frame_skip is None else frame_skip
     episodes = demonstrations.load(dataset, description.fingerprint, frame_skip, start="still")
     results = [
         run(description, name, episodes, frame_skip).as_dict() for name in chosen_backends(backend)

@@ -60,6 +60,9 @@ def search(
     backend: str = "mujoco",
     space: str | None = None,
     start: str | None = None,
+    threshold: float | None = None,
+    seconds: float | None = None,
+    radius: float | None = None,
     episodes: int = 100,
     rounds: int = 30,
     missed: bool = False,
@@ -87,6 +90,10 @@ def search(
         space: anchor, floating, spatter or workspace; by default that of the training.
         start: how episodes begin: still, moving or anywhere (`cdcsr.tasks.starts`); by default as
             in the training.
+        threshold: the tip is on the target within this distance, in m; by default as in the
+            training, or the robot's own; so too the next two.
+        seconds: how long an episode may take, in s.
+        radius: of the balls of Floating or Spatter, in m.
         episodes: how many targets, the same as those of as many episodes of `cdcsr evaluate`.
         rounds: how many rounds at each target; about half a second each.
         missed: search only at targets that the controller reaches in less than half of 48 tries.
@@ -104,7 +111,17 @@ def search(
 
     disturbances = Disturbances(action_noise, base_noise, packet_loss)
     asked = _prepare(
-        policy, backend, space, start, episodes, rounds, missed, seed, robot, disturbances
+        policy,
+        backend,
+        space,
+        start,
+        (threshold, seconds, radius),
+        episodes,
+        rounds,
+        missed,
+        seed,
+        robot,
+        disturbances,
     )
     summary = asked.run(out, force)
     print(
@@ -122,6 +139,7 @@ def _prepare(
     backend: str,
     space: str | None,
     start: str | None,
+    numbers: tuple[float | None, float | None, float | None],
     episodes: int,
     rounds: int,
     missed: bool,
@@ -132,8 +150,10 @@ def _prepare(
     """Find the controller, and check that it can be searched around."""
     from cdcsr.errors import CdcsrError
     from cdcsr.robot.description import load_robot
+    from cdcsr.robot.ruler import ruler
     from cdcsr.simulation.arguments import MOST_COPIES, check_count
-    from training.commands.measured import find_controller, robot_of, set_threads
+    from cdcsr.tasks.feasible import adjusted
+    from training.commands.measured import check_spaces, find_controller, robot_of, set_threads
     from training.config.seeds import TEST_SEED
 
     set_threads()
@@ -147,17 +167,22 @@ def _prepare(
             f"{controller.name} is for the task {controller.task}; a search is for controllers of "
             "reach, precise or quiet."
         )
-    if controller.frame_skip != 1:
+    description = robot_of(controller, description)
+    own = ruler(description).frame_skip
+    if controller.frame_skip not in (None, own):
         raise CdcsrError(
             f"{controller.name} holds actions for {controller.frame_skip} steps; a search is for "
-            "controllers with one action a step."
+            f"controllers that hold them for the robot's own number, {own}."
         )
+    space, start = space or controller.space or "anchor", start or controller.start
+    description = adjusted(description, controller.task, [space], *numbers)
+    check_spaces(controller, description, controller.task, [space], start)
     return _Search(
         controller,
         description,
         backend,
-        space or controller.space or "anchor",
-        start or controller.start,
+        space,
+        start,
         TEST_SEED if seed is None else seed,
         episodes,
         rounds,
@@ -200,6 +225,8 @@ class _Search:
         }
         if self.start != "still":  # older searches have no such entry
             identity["start"] = self.start
+        if scale := self.robot.scale.model_dump(mode="json"):
+            identity["scale"] = scale  # the same
         if any(noise.values()):
             # Older searches reported the tries that chose the plan; they cannot be resumed.
             identity["told"] = "by tries drawn anew"

@@ -19,6 +19,9 @@ def sweep(
     space: str | None = None,
     task: str | None = None,
     start: str | None = None,
+    threshold: float | None = None,
+    seconds: float | None = None,
+    radius: float | None = None,
     episodes: int = 100,
     seed: int | None = None,
     robot: str | None = None,
@@ -36,6 +39,10 @@ def sweep(
         task: the task; by default the one it was trained for.
         start: how episodes begin: still, moving or anywhere (`cdcsr.tasks.starts`); by default as
             in the training.
+        threshold: the tip is on the target within this distance, in m; by default as in the
+            training, or the robot's own; so too the next two.
+        seconds: how long an episode may take, in s.
+        radius: of the balls of Floating or Spatter, in m.
         episodes: how many episodes at each level, run as one batch.
         seed: seed of the targets; by default the one that nothing is tuned on.
         robot: the robot; by default the policy's own, or else "paper". A policy is refused on
@@ -48,7 +55,10 @@ def sweep(
     from training.measure.plant_sweep import Row
     from training.measure.sweep_table import as_dict, format_sweep
 
-    head, lines = _measure(policy, backend, space, task, start, axis, episodes, seed, robot)
+    numbers = (threshold, seconds, radius)
+    head, lines = _measure(
+        policy, backend, space, task, start, numbers, axis, episodes, seed, robot
+    )
     points = [point for line in lines for point in line]
     nominal = list({line[0].backend: line[0] for line in lines}.values())
     rates = ", ".join(f"{point.backend} {_rate(point)}" for point in nominal)
@@ -70,6 +80,7 @@ def _measure(
     space: str | None,
     task: str | None,
     start: str | None,
+    numbers: tuple[float | None, float | None, float | None],
     axis: tuple[str, ...],
     episodes: int,
     seed: int | None,
@@ -78,7 +89,8 @@ def _measure(
     """Return what is swept, and the points of each axis in each engine."""
     from cdcsr.robot.description import load_robot
     from cdcsr.simulation.engines import chosen_backends
-    from training.commands.measured import find_controller, robot_of, set_threads
+    from cdcsr.tasks.feasible import adjusted
+    from training.commands.measured import check_spaces, find_controller, robot_of, set_threads
     from training.config.seeds import TEST_SEED
     from training.measure.plant_axes import find_axes
     from training.measure.plant_sweep import sweep as measure
@@ -93,6 +105,8 @@ def _measure(
     description = robot_of(controller, description, robot is not None)
     space, task = space or controller.space or "anchor", task or controller.task
     start = start or controller.start
+    description = adjusted(description, task, [space], *numbers)
+    check_spaces(controller, description, task, [space], start)
     seed = TEST_SEED if seed is None else seed
     lines: list[list[Point]] = []
     nominal: dict[str, Point] = {}

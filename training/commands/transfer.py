@@ -17,6 +17,9 @@ def transfer(
     seed: int | None = None,
     robot: str | None = None,
     task: str | None = None,
+    threshold: float | None = None,
+    seconds: float | None = None,
+    radius: float | None = None,
     json: Path | None = None,
     plot: Path | None = None,
 ) -> None:
@@ -35,6 +38,10 @@ def transfer(
         task: the task; by default the one that all of them were trained for.
         robot: the robot; by default the policies' own, or else "paper". A policy is refused on
             another robot than its own.
+        threshold: the tip is on the target within this distance, in m; by default as in the
+            training, or the robot's own; so too the next two.
+        seconds: how long an episode may take, in s.
+        radius: of the balls of Floating or Spatter, in m.
         json: also write the results, each episode included, to this file.
         plot: also draw which targets are reached, in a panel for each cell, to this PNG.
     """
@@ -42,6 +49,7 @@ def transfer(
     from cdcsr.robot.description import load_robot
     from cdcsr.tasks.spaces import SPACES
     from training.commands.measured import find_controller, report_cells, robot_of, set_threads
+    from training.policy import Policy
 
     set_threads()
     if not policies:
@@ -78,7 +86,13 @@ def transfer(
             f"The policies were trained from different starts ({', '.join(starts)}); "
             "choose one with --start."
         )
-    spaces = list(SPACES) if space == "all" else [space]
+    scales = [one.robot.scale for one in learned if isinstance(one, Policy)]
+    if any(scale != scales[0] for scale in scales):
+        raise CdcsrError(
+            "The policies were trained with different numbers of the task (threshold, seconds, "
+            "radius or [scale]); evaluate them one by one."
+        )
+    spaces: list[str] = [*SPACES] if space == "all" else [space]
     report_cells(
         controllers,
         robots[0],
@@ -91,4 +105,5 @@ def transfer(
         None,
         tasks[0],
         starts[0] if starts else "still",
+        (threshold, seconds, radius),
     )

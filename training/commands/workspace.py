@@ -15,9 +15,11 @@ def workspace(
     /,
     *,
     out: Path,
-    spacing: float = 0.05,
+    spacing: float | None = None,
     backend: str = "mujoco",
-    frame_skip: int = 5,
+    frame_skip: int | None = None,
+    threshold: float | None = None,
+    seconds: float | None = None,
     plot: Path | None = None,
     json: Path | None = None,
 ) -> None:
@@ -28,16 +30,22 @@ def workspace(
     Args:
         robot: a shipped robot's name, or a path ending in .toml.
         out: the map, an .npz file.
-        spacing: the distance between the targets of the grid that are tried, in m.
+        spacing: the distance between the targets of the grid that are tried, in m; by default the
+            robot's own, 0.05 for the paper's robot.
         backend: the engine.
-        frame_skip: how many simulation steps each command is held for; fewer take longer.
+        frame_skip: how many simulation steps each command is held for; fewer take longer. By
+            default five times the robot's own number, 5 for the paper's robot.
+        threshold: the tip is on the target within this distance, in m; by default the robot's own.
+        seconds: how long an episode may take, in s; by default the robot's own.
         plot: also draw the map into this PNG file.
         json: also write the summary to this file.
     """
     from cdcsr.errors import CdcsrError
     from cdcsr.files import refuse_unwritable, write_json
     from cdcsr.robot.description import load_robot
+    from cdcsr.robot.ruler import ruler
     from cdcsr.simulation.arguments import check_number
+    from cdcsr.tasks.feasible import adjusted
     from controllers.workspace import compute_workspace, draw_workspace
 
     if out.suffix != ".npz":
@@ -47,7 +55,9 @@ def workspace(
     for path in (out, plot):
         if path is not None:
             refuse_unwritable(path)
-    description = load_robot(robot)
+    description = adjusted(load_robot(robot), "reach", [], threshold, seconds)
+    spacing = ruler(description).spacing if spacing is None else spacing
+    frame_skip = 5 * ruler(description).frame_skip if frame_skip is None else frame_skip
     reach = 2 * (description.top + description.arm_length)
     check_number("spacing", spacing, reach / _MOST_POINTS, reach)
     counts = {"tried": 0, "reached": 0, "diverged": 0}

@@ -49,8 +49,15 @@ class RunDescription:
     start: StartName = "still"
     """How episodes begin, demonstrations too: still, moving or anywhere (see
     `cdcsr.tasks.starts`)."""
-    frame_skip: int = 1
-    """Simulation steps for which each action is held."""
+    frame_skip: int | None = None
+    """Simulation steps for which each action is held; by default the robot's own number, 1 for the
+    paper's robot."""
+    threshold: float | None = None
+    """The tip is on the target within this distance, in m; by default the robot's own."""
+    seconds: float | None = None
+    """How long an episode may take, in s; by default the robot's own."""
+    radius: float | None = None
+    """The radius of the balls of Floating or Spatter, in m; by default the robot's own."""
     randomize: float = 0.0
     """Domain randomization: every training episode has a plant of its own, drawn from the ranges of
     `cdcsr.simulation.randomization` times this scale; 0 is off."""
@@ -82,7 +89,8 @@ class RunDescription:
                 f"({', '.join(map(str, EVALUATION_SEEDS))}), found {self.demonstration_seed}."
             )
         check_count("num_demonstrations", self.num_demonstrations, MOST_COPIES, least=0)
-        check_count("frame_skip", self.frame_skip, MOST_SKIP)
+        if self.frame_skip is not None:
+            check_count("frame_skip", self.frame_skip, MOST_SKIP)
         check_count("updates", self.updates, 1_000_000_000, least=0)
         check_scale(self.randomize)
         object.__setattr__(self, "changes", tuple(sorted(self.changes)))
@@ -91,6 +99,12 @@ class RunDescription:
     def trains(self) -> bool:
         """Whether there is anything to train."""
         return self.algorithm not in (SCRIPTED, NEAREST)
+
+    @property
+    def task_numbers(self) -> dict[str, float]:
+        """Numbers of the task that are not the robot's own, by name."""
+        found = {"threshold": self.threshold, "seconds": self.seconds, "radius": self.radius}
+        return {name: value for name, value in found.items() if value is not None}
 
     @property
     def name(self) -> str:
@@ -111,6 +125,7 @@ class RunDescription:
             parts.append(self.start)
         if self.randomize:
             parts.append(f"r{self.randomize:g}")
+        parts += [f"{name}={value:g}" for name, value in self.task_numbers.items()]
         return "_".join([*parts, *(f"{name}={in_a_name(value)}" for name, value in self.changes)])
 
     def policy_name(self, algorithm: str, changes: Changes) -> str:
@@ -123,12 +138,17 @@ class RunDescription:
         where = self.space if self.task == "reach" else f"{self.task}-{self.space}"
         where += "" if self.start == "still" else f"-{self.start}"
         parts = [algorithm, self.preset, where, self.backend, f"s{self.seed}"]
+        parts += [f"{name}={value:g}" for name, value in self.task_numbers.items()]
         return "-".join([*parts, *(f"{name}={in_a_name(value)}" for name, value in changes)])
 
     def as_dict(self) -> dict[str, object]:
         """Return plain data that :meth:`from_dict` reads."""
         data = {one.name: getattr(self, one.name) for one in fields(RunDescription)}
         dataset = None if self.demonstrations is None else str(self.demonstrations)
+        for name in {"threshold", "seconds", "radius"} - set(self.task_numbers):
+            del data[name]  # older records have no such number
+        if self.frame_skip is None and self.robot == "paper":
+            data["frame_skip"] = 1  # the same
         return {**data, "demonstrations": dataset, "changes": dict(self.changes)}
 
     @classmethod
@@ -147,6 +167,8 @@ class RunDescription:
             for name in ("changes", "switches"):
                 changes |= cast(dict[str, object], values.pop(name, None) or {})
             dataset = values.pop("demonstrations", None)
+            if values.get("robot", "paper") == "paper" and values.get("frame_skip") == 1:
+                del values["frame_skip"]  # the paper's robot's own
             if isinstance(dataset, int):
                 values["num_demonstrations"], dataset = dataset, None
             values["preset"] = RENAMED.get(str(values["preset"]), values["preset"])

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from cdcsr.envs.disturbances import Disturbances
 from cdcsr.envs.gym_env import TaskVectorEnv
 from cdcsr.robot.description import Robot
+from cdcsr.robot.ruler import ruler
 from cdcsr.simulation.arguments import MOST_COPIES, check_count
 from cdcsr.tasks.catalogue import make_task
 from cdcsr.tasks.starts import Starts
@@ -117,8 +118,12 @@ def evaluate(
     check_count("episodes", episodes, MOST_COPIES)
     centers = controller.centers if centers is None else centers
     frame_skip = controller.frame_skip if frame_skip is None else frame_skip
-    max_steps = make_task(task).max_steps
+    frame_skip = ruler(robot).frame_skip if frame_skip is None else frame_skip
+    max_steps = make_task(task, robot).max_steps
     plant, disturbances = plant or ActualPlant(robot), disturbances or Disturbances()
+    if plant.robot is not robot:  # the task stays the model's
+        pinned = plant.robot.model_copy(update={"scale": ruler(robot).scale})
+        plant = replace(plant, robot=pinned)
     if isinstance(controller, Policy) and plant.robot is not robot:
         controller = controller.on(plant.robot)
     starts = Starts(start, robot, seed)

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from cdcsr.envs.gym_env import TaskVectorEnv
 from cdcsr.robot.description import Robot
+from cdcsr.robot.ruler import ruler
 from controllers.controller import Controller
 from controllers.rollout import rollout
 from training.config.seeds import TEST_SEED
@@ -42,7 +43,7 @@ def follow(
     motion: str,
     episodes: int,
     centers: NDArray[np.float64] | None = None,
-    frame_skip: int = 1,
+    frame_skip: int | None = None,
 ) -> list[Following]:
     """Let a controller follow targets that start where the held-out targets are.
 
@@ -54,8 +55,10 @@ def follow(
         motion: one of :data:`MOTIONS`.
         episodes: how many, run as one batch.
         centers: the demonstrations' targets, shape (n, 3), for Floating and Spatter.
-        frame_skip: how many simulation steps each action is held for.
+        frame_skip: how many simulation steps each action is held for; by default the robot's own
+            number.
     """
+    skip = ruler(robot).frame_skip if frame_skip is None else frame_skip
     samples: list[Following] = []
     lost = np.zeros(episodes, dtype=bool)
 
@@ -65,14 +68,14 @@ def follow(
             names = ("distance", "base_position_error", "base_attitude_error")
             for i, row in enumerate(np.stack([info[name] for name in names], axis=1).tolist()):
                 if not lost[i]:
-                    samples.append(Following(motion, i, action * frame_skip, *row))
+                    samples.append(Following(motion, i, action * skip, *row))
 
     env = TaskVectorEnv(
         episodes,
         robot,
         backend,
         space,
-        frame_skip=frame_skip,
+        frame_skip=skip,
         centers=centers,
         task=f"follow-{motion}",
         autoreset_mode="Disabled",

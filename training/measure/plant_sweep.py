@@ -9,6 +9,8 @@ from typing import NamedTuple
 
 from cdcsr.errors import CdcsrError
 from cdcsr.robot.description import Robot
+from cdcsr.tasks.catalogue import TASKS, make_task
+from cdcsr.tasks.task import Task
 from controllers.controller import Controller
 from training.config.seeds import TEST_SEED
 from training.measure.evaluation import Result, evaluate
@@ -40,7 +42,7 @@ class Point:
     """None if the engine could not simulate the plant, as a copy diverged."""
     diverged: str = ""
     """How many episodes diverged, as a text."""
-    task: str = "reach"
+    task: Task = TASKS["reach"]
 
     @property
     def rows(self) -> list[Row]:
@@ -118,10 +120,11 @@ def sweep(
     def measured(level: float) -> Point:
         return _measure(controller, robot, backend, space, axis, level, episodes, seed, task, start)
 
+    judged = make_task(task, robot)
     if nominal is None:
         nominal = measured(axis.nominal)
     else:
-        nominal = Point(backend, space, axis, axis.nominal, nominal.result, task=task)
+        nominal = Point(backend, space, axis, axis.nominal, nominal.result, task=judged)
     if nominal.result is None or nominal.result.rate == 0:
         raise CdcsrError(
             f"{controller.name!r} has no success in {backend} ({task}, {space}), so its success "
@@ -174,10 +177,11 @@ def _measure(
         task=task,
         start=start,
     )
+    judged = make_task(task, robot)
     if result.diverged:
         what = f"{result.diverged} of {episodes} episodes diverged in {backend}"
-        return Point(backend, space, axis, level, None, what, task)
-    return Point(backend, space, axis, level, result, task=task)
+        return Point(backend, space, axis, level, None, what, judged)
+    return Point(backend, space, axis, level, result, task=judged)
 
 
 @dataclass(frozen=True)

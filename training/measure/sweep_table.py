@@ -9,7 +9,6 @@ from itertools import combinations
 import numpy as np
 
 from cdcsr.tables import markdown
-from cdcsr.tasks.catalogue import make_task
 from cdcsr.tasks.task import Task
 from training.measure.plant_sweep import Point, directions, halvings
 from training.measure.statistics import disagreement
@@ -35,7 +34,7 @@ class Difference:
     @property
     def reading(self) -> str:
         """A guess why the episode failed, from this distance and length."""
-        return _reading(make_task(self.worse.task), self.distance, self.length)
+        return _reading(self.worse.task, self.distance, self.length)
 
     def as_dict(self) -> dict[str, object]:
         """Return plain data: which episode, and why it may have ended differently."""

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import numpy as np
+
 from backends.parity.trajectories import DEMONSTRATOR, Commands
 from cdcsr.envs.gym_env import TaskVectorEnv
 from cdcsr.robot.description import Robot
@@ -18,4 +20,5 @@ def demonstrator_commands(robot: Robot, backend: str, episodes: int, seed: int) 
     observation, _ = env.reset(seed=seed)
     run = rollout(JacobianController(robot), env, observation)
     env.close()
-    return Commands(DEMONSTRATOR, run.actions, run.length)
+    actions = np.repeat(run.actions, env.frame_skip, axis=1)
+    return Commands(DEMONSTRATOR, actions, env.frame_skip * run.length)

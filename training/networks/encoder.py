@@ -9,13 +9,11 @@ from cdcsr.robot.description import Robot
 from cdcsr.tasks.observation import (
     TARGET,
     TIP_POSITION,
+    error_scale,
     input_offset,
     input_scale,
     observation_size,
 )
-
-_ERROR_SCALE = 0.1
-"""Scale of the vector from tip to target, in [m]."""
 
 
 class Encoder(nn.Module):
@@ -34,7 +32,7 @@ class Encoder(nn.Module):
         super().__init__()
         self.register_buffer("offset", torch.tensor(input_offset(robot), dtype=torch.float32))
         self.register_buffer("scale", torch.tensor(input_scale(robot), dtype=torch.float32))
-        self.with_error = with_error
+        self.with_error, self._error_scale = with_error, error_scale(robot)
         self.size = observation_size(robot) + 3 * with_error
 
     def forward(self, observation: Tensor) -> Tensor:
@@ -42,5 +40,5 @@ class Encoder(nn.Module):
         encoded = (observation - self.offset) / self.scale
         if not self.with_error:
             return encoded
-        error = (observation[..., TARGET] - observation[..., TIP_POSITION]) / _ERROR_SCALE
+        error = (observation[..., TARGET] - observation[..., TIP_POSITION]) / self._error_scale
         return torch.cat([encoded, error], dim=-1)

@@ -18,6 +18,7 @@ from cdcsr.envs.gym_env import TaskVectorEnv
 from cdcsr.errors import CdcsrError
 from cdcsr.files import write_bytes
 from cdcsr.robot.description import Robot
+from cdcsr.robot.ruler import ruler
 from cdcsr.simulation.engines import engine_title
 from controllers.controller import Controller
 from controllers.rollout import rollout
@@ -56,7 +57,11 @@ class Recording:
 
 
 def record(
-    controller: Controller, robot: Robot, backend: str, targets: Array, frame_skip: int = 1
+    controller: Controller,
+    robot: Robot,
+    backend: str,
+    targets: Array,
+    frame_skip: int | None = None,
 ) -> Recording:
     """Run a controller for one episode a target and record the positions of all bodies.
 
@@ -65,7 +70,7 @@ def record(
         robot: the description.
         backend: the engine.
         targets: shape (N, 3), world frame, in [m].
-        frame_skip: simulation steps for which each action is held.
+        frame_skip: simulation steps for which each action is held; by default the robot's own.
     """
     num = len(targets)
     env = TaskVectorEnv(num, robot, backend, frame_skip=frame_skip, autoreset_mode="Disabled")
@@ -91,7 +96,7 @@ def policy_video(
     backends: Sequence[str],
     targets: Array,
     paths: Sequence[Path],
-    frame_skip: int = 1,
+    frame_skip: int | None = None,
 ) -> None:
     """Write a video of a controller that reaches for targets, one column an engine, in slow motion.
 
@@ -101,10 +106,11 @@ def policy_video(
         backends: the engines.
         targets: one for each episode, shape (N, 3), world frame, in [m].
         paths: the files to write; their endings give the formats, .mp4 or .gif.
-        frame_skip: simulation steps for which each action is held.
+        frame_skip: simulation steps for which each action is held; by default the robot's own.
     """
     recordings = [record(controller, robot, backend, targets, frame_skip) for backend in backends]
-    frames = list(draw_frames(recordings, robot, targets, robot.time_step * frame_skip))
+    skip = ruler(robot).frame_skip if frame_skip is None else frame_skip
+    frames = list(draw_frames(recordings, robot, targets, robot.time_step * skip))
     for path in paths:
         write_video(frames, path)
 

@@ -71,6 +71,9 @@ Train a policy. To resume an interrupted run, give the same command again.
   --robot ROBOT           a shipped robot, or a path that ends in .toml (paper)
   --space SPACE           where targets lie: anchor (default), floating, spatter, workspace, a map
   --task TASK             reach (default), precise, quiet, capture, follow-line, ...
+  --threshold M, --seconds S, --radius M
+                          distance that counts as reached, length of an episode, and radius of
+                          Floating or Spatter, in place of the robot's own
   --start START           how episodes begin: still (default), moving, anywhere
   --seed N                seed of everything random but the demonstrations (0)
   --demonstrations PATH   a dataset from `cdcsr demonstrate`; by default ten are recorded

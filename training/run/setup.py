@@ -15,8 +15,10 @@ from cdcsr.envs.gym_env import TaskVectorEnv
 from cdcsr.errors import CdcsrError
 from cdcsr.memory import check_memory
 from cdcsr.robot.description import Robot, load_robot
+from cdcsr.robot.ruler import ruler
 from cdcsr.simulation.engines import load_backend
 from cdcsr.tasks.catalogue import actions_per_episode, make_task
+from cdcsr.tasks.feasible import adjusted, check_targets
 from cdcsr.tasks.observation import observation_size
 from cdcsr.tasks.spaces import demonstration_space, make_space
 from cdcsr.tasks.starts import Starts
@@ -50,17 +52,25 @@ class Setup:
 
     def __init__(self, config: Train) -> None:
         self.config, self.learner = config, config.learner
-        self.robot: Robot = load_robot(config.robot)
+        numbers = config.threshold, config.seconds, config.radius
+        self.robot: Robot = adjusted(
+            load_robot(config.robot), config.task, [config.space], *numbers
+        )
+        own = ruler(self.robot).frame_skip
+        self.frame_skip = own if config.frame_skip is None else config.frame_skip
         load_backend(config.backend)
-        make_space(config.space, self.robot)
+        space = make_space(config.space, self.robot)
         kind = find_algorithm(config.algorithm).learner
         self.reward: Reward = "sparse" if kind is None else kind.reward
-        self._check(make_task(config.task))
+        task = make_task(config.task, self.robot)
+        self._threshold = task.threshold
+        self._check(task)
+        check_targets(self.robot, task, space, bent=config.start == "anywhere")
 
     def _check(self, task: Task) -> None:
         config, learner = self.config, self.learner
         Starts(config.start, self.robot).check(task)
-        actions = actions_per_episode(task.max_steps, config.frame_skip)
+        actions = actions_per_episode(task.max_steps, self.frame_skip)
         if learner.symmetry and len(images(self.robot)) == 1:
             raise CdcsrError(
                 f"symmetry must be off: the cables of {self.robot.name!r} have no mirror image."
@@ -114,7 +124,7 @@ class Setup:
         """Return all that must be the same for the run to be resumed."""
         given = self.config.demonstrations is not None
         digest = demonstrations.digest(self.episodes) if given else None
-        return self.config.identity(self.robot.fingerprint, digest)
+        return self.config.identity(self.robot, digest)
 
     @cached_property
     def episodes(self) -> list[Episode]:
@@ -122,7 +132,11 @@ class Setup:
         config = self.config
         if config.demonstrations is not None:
             return demonstrations.load(
-                config.demonstrations, self.robot.fingerprint, config.frame_skip, config.task
+                config.demonstrations,
+                self.robot.fingerprint,
+                self.frame_skip,
+                config.task,
+                threshold=self._threshold,
             )
         num, seed = config.num_demonstrations, config.demonstration_seed
         print(f"Recording {num} demonstrations in {config.backend} (seed {seed})", flush=True)
@@ -154,7 +168,7 @@ class Setup:
             config.backend,
             space,
             self.reward,
-            config.frame_skip,
+            self.frame_skip,
             task=config.task,
             start=config.start,
             **options,
@@ -178,7 +192,7 @@ class Setup:
             "space": config.space,
             "start": config.start,
             "seed": config.seed,
-            "frame_skip": config.frame_skip,
+            "frame_skip": self.frame_skip,
             "randomize": config.randomize,
             "demonstrations": len(self.episodes),
             "changes": dict(changes),
@@ -197,7 +211,7 @@ class Setup:
             config.evaluate_episodes,
             seed=VALIDATION_SEED,
             centers=self.centers,
-            frame_skip=config.frame_skip,
+            frame_skip=self.frame_skip,
             task=config.task,
             start=config.start,
         )

@@ -7,6 +7,8 @@ from pathlib import Path
 
 from cdcsr.errors import CdcsrError
 from cdcsr.folders import WorkingFolder
+from cdcsr.robot.description import Robot
+from cdcsr.robot.ruler import ruler
 from cdcsr.simulation.arguments import MOST_COPIES, check_count, check_number
 from training.algorithms.registry import differences, numbers_of, own_numbers
 from training.config.learner import Cloning, Network
@@ -87,11 +89,11 @@ class Train(RunDescription):
         found = differences(self.learner, own)
         return tuple((name, value) for name, value in found if name in names and name != "updates")
 
-    def identity(self, fingerprint: str, dataset: str | None = None) -> dict[str, object]:
+    def identity(self, robot: Robot, dataset: str | None = None) -> dict[str, object]:
         """Return, as plain data, all that must be the same for a run to be resumed.
 
         Args:
-            fingerprint: of the robot.
+            robot: the description, with the run's numbers of the task.
             dataset: digest of the demonstrations if a dataset is given; another dataset may have
                 come under the same name.
         """
@@ -103,7 +105,11 @@ class Train(RunDescription):
             del data["demonstration_seed"]  # the same
         if self.start == "still":
             del data["start"]  # the same
-        data |= {"learner": self.learner.model_dump(mode="json"), "fingerprint": fingerprint}
+        if self.frame_skip is None:
+            data["frame_skip"] = ruler(robot).frame_skip
+        if scale := robot.scale.model_dump(mode="json"):
+            data["scale"] = scale
+        data |= {"learner": self.learner.model_dump(mode="json"), "fingerprint": robot.fingerprint}
         return data if dataset is None else {**data, "dataset": dataset}
 
 

@@ -85,7 +85,7 @@ def test_every_named_task_is_found_by_its_name() -> None:
 )
 def test_wrong_tasks_are_errors(name: str, changes: dict[str, object], message: str) -> None:
     with pytest.raises(CdcsrError, match=message):
-        make_task(name, **changes)
+        make_task(name, None, **changes)
 
 
 def test_capture_is_forty_steps_on_target_without_a_break() -> None:

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from cdcsr.envs.disturbances import Disturbances
 from cdcsr.envs.gym_env import TaskVectorEnv
 from cdcsr.robot.description import Robot
+from cdcsr.tasks.catalogue import TASKS
 from controllers.jacobian import JacobianController
 from tests.support.controllers import Still
 from tests.support.tiny import Options
@@ -196,6 +197,6 @@ def test_late_is_by_the_time_of_the_task() -> None:
         ("capture", 451, "late"),
         ("capture", 400, "another path"),
     ):
-        good = Point("mujoco", "anchor", axis, 1.0, result(1, length=length), task=task)
-        bad = Point("mujoco", "anchor", axis, 2.0, far, task=task)
+        good = Point("mujoco", "anchor", axis, 1.0, result(1, length=length), task=TASKS[task])
+        bad = Point("mujoco", "anchor", axis, 2.0, far, task=TASKS[task])
         assert differences(good, bad)[0].reading.startswith(expected)

@@ -13,6 +13,7 @@ import pytest
 
 from cdcsr.errors import CdcsrError
 from cdcsr.robot.description import Robot
+from cdcsr.tasks.catalogue import TASKS
 from tests.support.controllers import Still
 from training.commands.sweep import sweep as command
 from training.config.run_description import SCRIPTED, RunDescription
@@ -113,11 +114,13 @@ def test_differences_name_the_episode_and_a_reading() -> None:
     assert found[0].target == [0, 1, 2]
     assert len(between_engines([first, second])) == 2
     captured, missed = (
-        Point("mujoco", "anchor", axis, 2.0, _result([True], length=240), task="capture"),
+        Point("mujoco", "anchor", axis, 2.0, _result([True], length=240), task=TASKS["capture"]),
         [],
     )
     for distance in (0.02, 0.2):
-        other = Point("pybullet", "anchor", axis, 2.0, _result([False], distance), task="capture")
+        other = Point(
+            "pybullet", "anchor", axis, 2.0, _result([False], distance), task=TASKS["capture"]
+        )
         missed.append(differences(captured, other)[0].reading)
     # Near is not enough to capture, and 240 of 500 steps are not late.
     assert missed[0] == "at the target, but not as capture asks: ends 20 mm from it"

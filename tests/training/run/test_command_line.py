@@ -8,12 +8,14 @@ from pathlib import Path
 import pytest
 
 from cdcsr.errors import CdcsrError
+from cdcsr.robot.description import load_robot
 from training.algorithms.registry import ALGORITHMS, Algorithm, find_algorithm, own_numbers
 from training.algorithms.td3 import TD3, TD3Numbers
 from training.run.command_line import read_train
 from training.run.train_options import Train, read_older
 
 OUT = ["--out", "x"]
+PAPER = load_robot("paper")
 
 
 @pytest.mark.parametrize(
@@ -133,19 +135,19 @@ def test_a_policy_is_named_for_the_changes_it_depends_on() -> None:
 
 def test_the_record_of_an_older_version_is_translated() -> None:
     run = Train(out=Path("x"), algorithm="td3", updates=9)
-    now = run.identity("f")
+    now = run.identity(PAPER)
     learner = dict(now["learner"])  # type: ignore[call-overload]
     retired = {"step_cost": 0.0, "target_choice": "softmax", "final_learning_rate": 1.0}
     older = {**now, "learner": {**learner, **retired, "softmax_temperature": 10.0}}
     del older["learner"]["hindsight"]  # type: ignore[attr-defined]
     assert read_older(older, run, Path("config.json")) == now
     paper = Train(out=Path("x"), algorithm="td3", preset="paper-reading")
-    older = {**paper.identity("f"), "preset": "paper"}
-    assert read_older(older, paper, Path("config.json")) == paper.identity("f")
-    assert "start" not in paper.identity("f")  # so that older runs can be resumed
+    older = {**paper.identity(PAPER), "preset": "paper"}
+    assert read_older(older, paper, Path("config.json")) == paper.identity(PAPER)
+    assert "start" not in paper.identity(PAPER)  # so that older runs can be resumed
     moving = replace(paper, start="moving")
-    assert moving.identity("f")["start"] == "moving"
-    assert read_older(moving.identity("f"), moving, Path("config.json")) == moving.identity("f")
+    assert moving.identity(PAPER)["start"] == "moving"
+    assert read_older(moving.identity(PAPER), moving, Path("config.json")) == moving.identity(PAPER)
     older["learner"] = {**learner, "step_cost": 0.004}
     with pytest.raises(CdcsrError, match=r"a run with step_cost = 0\.004, an option that this"):
         read_older(older, run, Path("config.json"))

@@ -34,6 +34,8 @@ from training.run.trainer import Run, train
 from training.study.declare.budgets import BUDGETS
 from training.study.declare.grid import EXPERIMENTS, collect
 
+PAPER = load_robot("paper")
+
 
 def _config(
     out: Path,
@@ -168,10 +170,10 @@ def test_a_run_with_another_dataset_under_the_same_name_is_refused(
 )
 def test_a_run_is_another_with_any_option_that_matters(other: Options) -> None:
     config = _config(Path("run"), None)
-    assert dataclasses.replace(config, **other).identity("f") != config.identity("f")
+    assert dataclasses.replace(config, **other).identity(PAPER) != config.identity(PAPER)
     assert dataclasses.replace(config, out=Path("x"), stop_after=1.0, force=True).identity(
-        "f"
-    ) == config.identity("f")
+        PAPER
+    ) == config.identity(PAPER)
 
 
 def test_a_folder_that_is_no_run_is_refused(tmp_path: Path, demonstrations: Path) -> None:

@@ -13,6 +13,7 @@ from cdcsr.files import write_text
 from cdcsr.robot.description import Robot
 from cdcsr.simulation.engines import backend_names, principal_engines
 from cdcsr.tables import csv_text
+from cdcsr.tasks.catalogue import make_task
 from controllers.controller import Controller
 from training.config.run_description import RunDescription
 from training.measure.evaluation import Array, Result, evaluate
@@ -44,7 +45,7 @@ class Options(TypedDict, total=False):
     """The options of an environment that depend on who is measured."""
 
     centers: Array | None
-    frame_skip: int
+    frame_skip: int | None
     task: str
     start: str
 
@@ -157,7 +158,7 @@ def following(subject: Subject, episodes: int) -> Iterator[Row]:
             motion,
             episodes,
             centers=None if policy is None else policy.centers,
-            frame_skip=1 if policy is None else policy.frame_skip,
+            frame_skip=None if policy is None else policy.frame_skip,
         ):
             yield backend, motion_name, episode, step, *(f"{error:.5f}" for error in errors)
 
@@ -166,11 +167,12 @@ def plants(subject: Subject, episodes: int) -> Iterator[Row]:
     """Sweep each axis of the plant in every engine that is no variant, until success halves."""
     space = subject.spec.space
     for backend in principal_engines():
+        task = make_task(subject.spec.task, subject.robot)
         nominal = evaluate(
             subject.controller, subject.robot, backend, space, episodes, **subject.options
         )
         for axis in AXES.values():
-            points = [Point(backend, space, axis, axis.nominal, nominal, task=subject.spec.task)]
+            points = [Point(backend, space, axis, axis.nominal, nominal, task=task)]
             if nominal.success.any():  # else there is nothing to lose
                 points = sweep(
                     subject.controller,

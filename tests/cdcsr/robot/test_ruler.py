@@ -1,0 +1,163 @@
+"""The numbers of tasks that follow from a robot's size and pace."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from cdcsr.envs.gym_env import TaskVectorEnv
+from cdcsr.errors import CdcsrError
+from cdcsr.robot.description import Robot, load_robot, parse_robot, shipped_robots
+from cdcsr.robot.ruler import answer_time, ruler
+from cdcsr.robot.scale import Scale
+from cdcsr.tasks.catalogue import TASKS, make_task
+from cdcsr.tasks.feasible import adjusted, check_targets
+from cdcsr.tasks.observation import PARTS, input_scale
+from cdcsr.tasks.spaces import Balls, make_space
+from controllers.jacobian import JacobianController
+
+PAPER = load_robot("paper")
+
+
+def _resized(size: float, pace: float) -> Robot:
+    """Return the paper's robot with every length and time multiplied: a similar robot, whose
+    masses stay. Forces go with mass x length / time^2."""
+    data = PAPER.model_dump(mode="json")
+    moment, spring = size**2, size**2 / pace**2
+    data["time_step"] *= pace
+    data["constraint"]["recovery_time"] *= pace
+    for section in (data["base"], data["workspace"]):
+        section["size"] = [size * x for x in section["size"]]
+    data["workspace"]["center"] = [size * x for x in data["workspace"]["center"]]
+    data["base"]["inertia"] = [moment * x for x in data["base"]["inertia"]]
+    for segment in data["segments"]:
+        link, joint, servo = segment["link"], segment["joint"], segment["servo"]
+        link["inertia"] = [moment * x for x in link["inertia"]]
+        joint["stiffness"] *= spring
+        joint["damping"] *= spring * pace
+        servo["damping"] /= pace
+        servo["gain"] /= pace**2
+        for section, names in (
+            (link, ("length", "radius")),
+            (segment["cables"], ("pitch_radius", "guide_offset")),
+            (servo, ("eta", "radius", "offset")),
+        ):
+            for name in names:
+                section[name] *= size
+    return Robot.model_validate(data)
+
+
+@pytest.mark.parametrize("name", ["paper", "three-cable", "three-segment", "planar-single"])
+def test_first_robots_have_the_numbers_of_the_paper(name: str) -> None:
+    robot = load_robot(name)
+    assert {task: make_task(task, robot) for task in TASKS} == TASKS
+    own, controller = ruler(robot), JacobianController(robot)
+    assert (own.floating, own.spatter, own.spacing, own.frame_skip) == (0.01, 0.15, 0.05, 1)
+    assert (controller.gain, controller.speed, controller.regularization) == (14.0, 2.0, 1e-8)
+    assert (controller.calm, controller.calm_within) == (0.02, 0.1)
+    widths = [part.width(robot.num_cables) for part in PARTS]
+    assert input_scale(robot).tolist() == np.repeat([part.scale for part in PARTS], widths).tolist()
+
+
+def test_a_similar_robot_has_similar_tasks() -> None:
+    """Dimensions alone give these numbers: half of the lengths, a fifth of the times."""
+    robot = _resized(0.5, 0.2)
+    own, task, moved = ruler(robot), make_task("capture-drift", robot), make_task("reach", robot)
+    assert answer_time(robot) == pytest.approx(0.2 * answer_time(PAPER), rel=1e-2)
+    assert (task.threshold, own.spatter, own.tip_speed) == (0.015, 0.075, 5.0)
+    assert (own.frame_skip, moved.max_steps, task.max_steps) == (1, 250, 500)
+    controller = JacobianController(robot)
+    assert controller.gain == pytest.approx(70)
+    # (m/s/N)^2: speeds grow by 2.5, pulls by 0.5 / 0.2^2 = 12.5.
+    assert controller.regularization == pytest.approx(1e-8 * (2.5 / 12.5) ** 2)
+    env = TaskVectorEnv(1, robot, task="capture-drift")
+    motion = env._episodes._motion
+    env.close()
+    assert motion.speed == pytest.approx(0.25)  # type: ignore[attr-defined]
+    scales = {part.name: part.scale_of(robot) for part in PARTS}
+    assert scales["tip_velocity"] == pytest.approx(2.5)
+    assert scales["base_angular_velocity"] == pytest.approx(0.5)
+    assert scales["cable_travel"] == pytest.approx(0.015)
+
+
+def test_answer_of_one_undamped_link() -> None:
+    """The angle is that of a pendulum with springs, A (1 - cos w t), solved for a twelfth of the
+    length at the tip."""
+    length, radius, mass, inertia, gain, eta = 0.3, 0.01, 0.2, 2e-3, 200.0, 0.05
+    robot = parse_robot(f"""
+name = "one"
+time_step = 0.001
+[base]
+size = [1.0, 1.0, 1.0]
+mass = 1.0
+inertia = [1.0, 1.0, 1.0]
+mount = "fixed"
+[constraint]
+recovery_time = 0.01
+[workspace]
+center = [0.1, 0.0, 0.6]
+size = [0.0, 0.0, 0.0]
+[[segments]]
+links = 1
+link = {{ length = {length}, radius = 0.01, mass = {mass}, inertia = [{inertia}, {inertia}, 1e-4] }}
+joint = {{ stiffness = 0.0, damping = 0.0, limit = 1.0 }}
+cables = {{ angles_deg = [0.0, 180.0], pitch_radius = {radius}, guide_offset = 0.01 }}
+servo = {{ mass = 0.1, damping = 0.0, gain = {gain}, eta = {eta}, radius = 0.01, offset = 0.1 }}
+""")
+    whole = inertia + mass * (length / 2) ** 2 + 0.1 * radius**2
+    amplitude = gain * eta * radius / (gain * radius**2)
+    expected = math.acos(1 - 1 / 12 / amplitude) / math.sqrt(gain * radius**2 / whole)
+    assert answer_time(robot) == pytest.approx(expected, rel=0.05)
+
+
+def test_numbers_of_the_description_come_first() -> None:
+    robot = PAPER.model_copy(update={"scale": Scale(threshold=0.02, seconds=1.0, tip_speed=0.5)})
+    assert robot.fingerprint == PAPER.fingerprint  # a policy acts on it
+    assert (make_task("reach", robot).name, make_task("reach", robot).threshold) == ("reach", 0.02)
+    precise = make_task("precise", robot)
+    assert precise.name == "precise"
+    assert precise.threshold == pytest.approx(0.02 / 3)
+    assert (precise.max_steps, ruler(robot).frame_skip) == (400, 2)
+    assert JacobianController(robot).speed == 0.5
+    assert parse_robot(robot.to_toml()) == robot
+    assert make_task("reach", robot, threshold=0.04).name == "reach-40mm"
+
+
+def test_options_change_the_task_that_is_asked_for() -> None:
+    robot = adjusted(PAPER, "precise", ["spatter"], threshold=0.005, seconds=0.5, radius=0.2)
+    task, space = make_task("precise", robot), make_space("spatter", robot)
+    assert task.threshold == pytest.approx(0.005)
+    assert (task.max_steps, ruler(robot).frame_skip) == (200, 1)
+    assert isinstance(space, Balls)
+    assert space.radius == 0.2
+    assert adjusted(PAPER, "reach", ["anchor"]) is PAPER
+    with pytest.raises(CdcsrError, match="seconds must be positive and finite, not -1"):
+        adjusted(PAPER, "reach", [], seconds=-1.0)
+    with pytest.raises(CdcsrError, match=r"choose one of them with --space \(found anchor\)"):
+        adjusted(PAPER, "reach", ["anchor"], radius=0.1)
+
+
+@pytest.mark.parametrize("name", shipped_robots())
+def test_targets_of_shipped_robots_make_a_task(name: str) -> None:
+    robot = load_robot(name)
+    for space in ("anchor", "spatter"):
+        check_targets(robot, make_task("reach", robot), make_space(space, robot))
+
+
+def test_targets_that_make_no_task_are_refused() -> None:
+    """The straight arm's tip is at z = 0.3 + 2.4 m, its first joint at 0.3 m."""
+    task = make_task("reach", PAPER)
+    with pytest.raises(CdcsrError, match=r"100% .* threshold of 0\.5 m .* at \(0, 0, 2\.7\) m"):
+        check_targets(PAPER, replace(task, threshold=0.5), make_space("anchor", PAPER))
+    high = PAPER.workspace.model_copy(update={"center": (0.0, 0.0, 2.9)})
+    robot = PAPER.model_copy(update={"workspace": high})
+    with pytest.raises(CdcsrError, match=r"out of reach: .* the 2\.4 m .* at \(0, 0, 0\.3\) m"):
+        check_targets(robot, task, make_space("anchor", robot))
+    # A turned base turns the arm: now it points down, and the tip is at z = -2.7 m.
+    turned = PAPER.base.model_copy(update={"quaternion": (0.0, 1.0, 0.0, 0.0)})
+    robot = PAPER.model_copy(update={"base": turned})
+    with pytest.raises(CdcsrError, match=r"at \(0, 0, -0\.3\) m"):
+        check_targets(robot, task, make_space("anchor", robot))
