@@ -12,13 +12,14 @@ import os
 import signal
 import sys
 import threading
+import warnings
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from importlib.metadata import EntryPoint, entry_points, version
 from pathlib import Path
-from typing import Any, ParamSpec
+from typing import Any, ParamSpec, TextIO
 
-from cdcsr.errors import CdcsrError, unknown_choice
+from cdcsr.errors import CdcsrError, CdcsrWarning, unknown_choice
 
 _GROUP = "cdcsr.commands"
 _FILE_OPTIONS = "json", "csv"
@@ -115,7 +116,7 @@ def run(function: Callable[..., Any], prog: str, argv: Sequence[str]) -> int:
     import tyro
 
     try:
-        with _cleaning_up():
+        with _cleaning_up(), _warnings_as_lines():
             if isinstance(function, type):
                 command = function(prog, argv)
                 _refuse_unwritable(vars(command))
@@ -138,6 +139,31 @@ def run(function: Callable[..., Any], prog: str, argv: Sequence[str]) -> int:
     except Exception as error:
         return _unforeseen(f"Not foreseen: {_reason(error)}", error)
     return 0
+
+
+@contextmanager
+def _warnings_as_lines() -> Iterator[None]:
+    """Print each of our warnings once, as one line."""
+    said: set[str] = set()
+
+    def show(
+        message: Warning | str,
+        category: type[Warning],
+        filename: str,
+        lineno: int,
+        file: TextIO | None = None,
+        line: str | None = None,
+    ) -> None:
+        if not issubclass(category, CdcsrWarning):
+            usual(message, category, filename, lineno, file, line)
+        elif str(message) not in said:
+            said.add(str(message))
+            _say(f"warning: {message}", 0)
+
+    with warnings.catch_warnings():
+        usual, warnings.showwarning = warnings.showwarning, show
+        warnings.simplefilter("always", CdcsrWarning)  # libraries make Python forget what it said
+        yield
 
 
 @contextmanager

@@ -27,6 +27,10 @@ class CdcsrError(Exception):
         super().__init__("".join(c if c.isprintable() else "?" for c in line))
 
 
+class CdcsrWarning(UserWarning):
+    """Tell what may make a result wrong, and what to do; a command prints it as one line."""
+
+
 class CheckFailed(CdcsrError):
     """Report that a command did its work, but a check did not hold; exit code 1, as for tests."""
 

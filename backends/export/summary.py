@@ -8,10 +8,13 @@ from typing import TypedDict
 
 import numpy as np
 
+from backends.parity.open_loop import accurate_step
+from backends.parity.report import ACCURATE
 from cdcsr.robot.description import Robot
 from cdcsr.robot.routing import routing
+from cdcsr.robot.stability import stable_step
 from cdcsr.simulation.contract import Array
-from cdcsr.simulation.engines import make_simulation
+from cdcsr.simulation.engines import engine_factory, make_simulation
 from cdcsr.simulation.rotations import at_start
 
 _BEND = 0.3
@@ -48,6 +51,13 @@ class Summary(TypedDict):
     """The centre of mass of the straight robot at the start, three numbers in [m], world frame."""
     cables: list[Cable]
     backends: list[str]
+    time_step: float
+    """[s]"""
+    stable_step: float
+    """The largest time step in [s] below which no spring shakes."""
+    accurate_step: dict[str, float | None]
+    """By engine, the time step in [s] at which the tip's mean error is a tenth of the tasks'
+    threshold; None if the engine diverges at `time_step`."""
     mass_matrix_difference: dict[str, MassDifference]
     """Every engine but the first, compared with the first."""
 
@@ -68,6 +78,11 @@ def summarize(robot: Robot, backends: Sequence[str]) -> Summary:
             for c, s in enumerate(segments)
         ],
         "backends": list(backends),
+        "time_step": robot.time_step,
+        "stable_step": stable_step(robot),
+        "accurate_step": {
+            name: accurate_step(robot, engine_factory(name), ACCURATE) for name in backends
+        },
         "mass_matrix_difference": _mass_matrix_differences(robot, backends),
     }
 
@@ -87,6 +102,15 @@ def show(summary: Summary) -> str:
     for s in sorted({cable["segment"] for cable in cables}):
         lengths = [f"{cable['rest_length']:.6g}" for cable in cables if cable["segment"] == s]
         lines.append(f"  segment {s}         {', '.join(lengths)}")
+    lines.append(
+        f"time step           {summary['time_step']:g} s; no spring shakes below "
+        f"{summary['stable_step']:.2g} s"
+    )
+    for backend, step in summary["accurate_step"].items():
+        said = f"{step:.2g} s" if step else "the robot's own step, at which it diverges"
+        lines.append(
+            f"                    {backend} has a mean error of {1e3 * ACCURATE:g} mm at {said}"
+        )
     first = summary["backends"][0]
     for backend, difference in summary["mass_matrix_difference"].items():
         lines.append(

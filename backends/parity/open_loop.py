@@ -22,7 +22,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from backends.parity.checks import Check, Engines, reference_of
-from backends.parity.trajectories import DEMONSTRATOR, Commands
+from backends.parity.trajectories import DEMONSTRATOR, Commands, random_commands
+from cdcsr.errors import Diverged
 from cdcsr.robot.description import Robot
 from cdcsr.simulation.contract import Array, Simulation
 
@@ -83,6 +84,11 @@ class OpenLoop:
         """Return the distances from the engine's own limit, means over each episode and then over
         episodes, shape (R,)."""
         return _mean(np.linalg.norm(self.tips[engine] - self.limit(engine), axis=-1))
+
+    def accurate_step(self, engine: str, error: float) -> float:
+        """Return the time step in [s] at which the engine's mean error would be `error`, in [m];
+        the error is of first order."""
+        return float(self.time_steps[0] * error / self.errors(engine)[0])
 
     def limit_distance(self, engine: str) -> float:
         """Return the distance from the reference's limit to an engine's, a mean as in
@@ -215,6 +221,38 @@ def open_loop(
         switches=moved,
         arm_length=robot.arm_length,
     )
+
+
+def accurate_step(
+    robot: Robot, make: Callable[[Robot, int], Simulation], error: float
+) -> float | None:
+    """Estimate the time step at which the mean error of the tip is `error`, under random commands.
+
+    A first-order method's error at a step h is twice the distance from the motion at h / 2. Two
+    runs take little time; :meth:`OpenLoop.accurate_step` measures the same from a limit.
+
+    Args:
+        robot: the description.
+        make: makes simulations in an engine.
+        error: in [m].
+
+    Returns:
+        The time step in [s]; None if the engine diverges at the robot's own.
+    """
+    commands = random_commands(robot, 2, seed=0).values.swapaxes(0, 1)
+    tips = []
+    for parts in (1, 2):
+        simulation = make(refined(robot, parts), commands.shape[1])
+        try:
+            for command in commands:
+                simulation.step(command, parts)
+                tips.append(simulation.state().tip_position)
+        except Diverged:
+            return None
+        finally:
+            simulation.close()
+    coarse, fine = np.split(np.array(tips), 2)
+    return float(robot.time_step * error / (2 * np.linalg.norm(coarse - fine, axis=-1).mean()))
 
 
 def _is_ideal(simulation: Simulation) -> bool:

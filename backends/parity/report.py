@@ -14,6 +14,11 @@ from backends.parity.one_step import OneStep, one_step
 from backends.parity.open_loop import REFINEMENTS, OpenLoop, open_loop
 from backends.parity.trajectories import Commands
 from cdcsr.robot.description import Robot
+from cdcsr.robot.stability import stable_step
+from cdcsr.tasks.task import Task
+
+ACCURATE = Task.threshold / 10
+"""An error of the tip that hardly matters to a task, in [m]."""
 
 
 @dataclass(frozen=True)
@@ -91,6 +96,8 @@ def show(parity: Parity) -> str:
     """Return the measurements as text to read."""
     robot, others = parity.robot, ", ".join(parity.engines[1:])
     lines = [f"{robot.name} ({robot.fingerprint}): {others} against {parity.engines[0]}"]
+    step, stable = 1e3 * robot.time_step, 1e3 * stable_step(robot)
+    lines.append(f"time step {step:.4g} ms; no spring shakes below {stable:.4g} ms")
     lines += ["", "1  one state: largest difference at random states"]
     lines += [_line(check) for check in parity.one_state]
     for part in parity.one_step:
@@ -127,6 +134,9 @@ def _show_open_loop(part: OpenLoop) -> list[str]:
     for engine in engines:
         errors = row(f"{engine}, from its limit", part.errors(engine), "4f")
         lines.append(f"{errors}    order {part.order(engine):.2f}")
+    steps = [part.accurate_step(engine, ACCURATE) for engine in engines]
+    named = ", ".join(f"{engine} {1e3 * h:.2g}" for engine, h in zip(engines, steps, strict=True))
+    lines.append(f"     steps in [ms] with an error of {1e3 * ACCURATE:g} mm: {named}")
     for engine in engines[1:]:
         lines.append(row(f"{engine} - {part.reference}", part.mean_distance(engine), "5f"))
     for engine in engines[1:]:

@@ -23,6 +23,10 @@ class PybulletOptions(EngineOptions):
     """How a servo acts: as a force on its slider, or as Bullet's position motor with default gains,
     no stronger than that force."""
 
+    @property
+    def steps(self) -> int:
+        return self.substeps
+
 
 class PybulletStockOptions(PybulletOptions):
     """How PyBullet steps by default."""

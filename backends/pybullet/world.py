@@ -17,12 +17,11 @@ from backends.pybullet.equation import Equation
 from backends.pybullet.options import PybulletOptions
 from cdcsr.compiled import compiled
 from cdcsr.robot.description import Robot
+from cdcsr.robot.stability import highest_speeds, too_fast
 from cdcsr.simulation.plant import Parameters, Plant
 
 Array = NDArray[np.float64]
 
-MAX_TURN = 0.5
-"""A copy has diverged if a hinge or its base turns by more than this in one step, in [rad]."""
 COPIES_PER_CLIENT = 4
 """The time of PyBullet's step grows with the square of the bodies in a client, and a client takes
 27 MB."""
@@ -67,9 +66,9 @@ class World:
         self.tension = np.zeros((num, robot.num_cables))
         self._force = np.zeros(robot.num_cables + robot.num_hinges)
         self._servo = np.zeros(robot.num_cables)
-        self._fastest = np.full(robot.num_coordinates, MAX_TURN / robot.time_step)
-        self._fastest[:3] = robot.arm_length / robot.time_step
-        self._fastest[6 : 6 + robot.num_cables] = robot.arm_length / robot.time_step
+        self._fastest = highest_speeds(robot)
+        # A joint that Bullet clamps would be faster.
+        np.minimum(self._fastest[6:], 0.999 * options.max_joint_speed, out=self._fastest[6:])
         self.reset(range(num))
 
     @property
@@ -139,7 +138,12 @@ class World:
                     ~(np.abs(self.velocity) <= self._fastest).all(axis=1)
                 ).tolist():
                     lost.setdefault(
-                        copy, Divergence(copy, float(self.time[copy]), self._complaint(copy))
+                        copy,
+                        Divergence(
+                            copy,
+                            float(self.time[copy]),
+                            too_fast(self.velocity[copy], self._fastest),
+                        ),
                     )
                     self.reset([copy])
         self.reset(lost)
@@ -173,14 +177,6 @@ class World:
         else:
             body.drive(command.tolist(), np.abs(self._servo).tolist())
         body.push(self._force.tolist())
-
-    def _complaint(self, copy: int) -> str:
-        speed = np.abs(self.velocity[copy])
-        if not np.isfinite(speed).all():
-            return "velocities are no longer finite"
-        worst = int(np.argmax(speed / self._fastest))
-        limit = f"too fast for a step of {self._time_step:g} s"
-        return f"coordinate {worst} moves at {speed[worst]:.3g}, {limit}"
 
     def _write(self, copy: int) -> None:
         """Give Bullet the position and velocity of a copy."""

@@ -1,11 +1,46 @@
-"""The largest time step at which the springs of a robot are stable."""
+"""The largest time step at which the springs of a robot are stable, and speeds that no step can
+follow."""
 
 from __future__ import annotations
 
 from itertools import pairwise
 from math import inf, pi, sin, sqrt
 
+import numpy as np
+from numpy.typing import NDArray
+
 from cdcsr.robot.description import Robot
+
+MAX_TURN = 0.5
+"""A step in which a hinge or the base turns by more than this, in [rad], means nothing."""
+
+
+def highest_speeds(robot: Robot) -> NDArray[np.float64]:
+    """Return the speed of each coordinate above which a copy has diverged, shape (nv,), in [m/s]
+    and [rad/s].
+
+    In one time step the base and sliders move by less than the arm's length, and bodies turn by
+    less than :data:`MAX_TURN`; a hinge by less than from one of its limits to the other. So limits
+    do not hide a hinge that shakes between them.
+    """
+    hinges = [min(MAX_TURN, 2 * hinge.limit) for hinge in robot.hinges]
+    length = [robot.arm_length]
+    turns = [*3 * length, *3 * [MAX_TURN], *robot.num_cables * length, *hinges]
+    return np.array(turns) / robot.time_step
+
+
+def too_fast(speeds: NDArray[np.float64], highest: NDArray[np.float64]) -> str:
+    """Say which coordinate has made a copy diverge.
+
+    Args:
+        speeds: shape (nv,), in [m/s] and [rad/s].
+        highest: from :func:`highest_speeds`.
+    """
+    if not np.isfinite(speeds).all():
+        return "velocities are no longer finite"
+    worst = int(np.argmax(np.abs(speeds) / highest))
+    least = f"more than {highest[worst]:.3g}"
+    return f"coordinate {worst} moves at {abs(speeds[worst]):.3g}, {least}"
 
 
 def stable_step(robot: Robot) -> float:

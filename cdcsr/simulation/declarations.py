@@ -19,6 +19,11 @@ class EngineOptions(BaseModel):
 
     model_config = ConfigDict(frozen=True, extra="forbid", use_attribute_docstrings=True)
 
+    @property
+    def steps(self) -> int:
+        """How many steps of the engine make one time step of the robot."""
+        return 1
+
 
 _UNKNOWN = "not declared"
 

@@ -10,14 +10,16 @@ from __future__ import annotations
 import os
 import re
 import sys
+import warnings
 from collections.abc import Callable
 from functools import cache
 from importlib.metadata import EntryPoint, entry_points
 
 from pydantic import ValidationError
 
-from cdcsr.errors import CdcsrError, unknown_choice
+from cdcsr.errors import CdcsrError, CdcsrWarning, unknown_choice
 from cdcsr.robot.description import Robot
+from cdcsr.robot.stability import stable_step
 from cdcsr.simulation.contract import EngineOptions, Simulation
 from cdcsr.simulation.mixed import mixed_engine
 
@@ -100,9 +102,11 @@ def engine_factory(name: str) -> Callable[[Robot, int], Simulation]:
         CdcsrError: no engine of that name is installed, or an option is wrong.
     """
     if len(_parts(name)) > 1:
-        return load_backend(name)
+        mixed = load_backend(name)
+        steps = [_backend_with_options(part)[1].steps for part in _parts(name)]
+        return lambda robot, num: mixed(_warned(robot, min(steps)), num)
     kind, options = _backend_with_options(name)
-    return lambda robot, num: kind(robot, num, options)
+    return lambda robot, num: kind(_warned(robot, options.steps), num, options)
 
 
 def switched_off(name: str) -> list[str]:
@@ -126,10 +130,26 @@ def make_simulation(robot: Robot, backend: str, num: int = 1) -> Simulation:
         backend: the engine's name, with options or without.
         num: how many copies.
 
+    Warns:
+        CdcsrWarning: the time step is so large that springs may shake.
+
     Raises:
         CdcsrError: no engine of that name is installed, or an option is wrong.
     """
     return engine_factory(backend)(robot, num)
+
+
+def _warned(robot: Robot, steps: int) -> Robot:
+    """Return the robot; warn if its time step, made in so many steps, is above the stable one."""
+    stable = stable_step(robot)
+    if robot.time_step > stable * steps:
+        warnings.warn(
+            f"The time_step of {robot.name!r} is above {steps * stable:.2g} s. Below that no "
+            "spring shakes; above it the motion may be wrong, or end in an error.",
+            CdcsrWarning,
+            stacklevel=3,
+        )
+    return robot
 
 
 def _backend_with_options(text: str) -> tuple[type[Simulation], EngineOptions]:

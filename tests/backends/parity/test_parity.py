@@ -16,7 +16,7 @@ from backends.parity import report
 from backends.parity.checks import Check, Engines
 from backends.parity.one_state import one_state, random_states
 from backends.parity.one_step import one_step
-from backends.parity.open_loop import OpenLoop, open_loop, refined
+from backends.parity.open_loop import OpenLoop, accurate_step, open_loop, refined
 from backends.parity.plots import draw
 from backends.parity.report import Parity, measure, show
 from backends.parity.trajectories import Commands, random_commands
@@ -205,6 +205,19 @@ def test_a_refined_robot_keeps_the_recovery_time_in_steps(paper: Robot) -> None:
         paper.constraint.recovery_time / 4,
     )
     assert fine.segments == paper.segments
+
+
+@pytest.mark.parametrize("engine", ENGINES)
+def test_two_runs_estimate_the_step_that_four_measure(engine: str) -> None:
+    """Under other commands, from the limit of eight times smaller steps."""
+    robot = load_robot("planar-single")
+    alone = {engine: ENGINES[engine]}
+    measured = open_loop(robot, alone, random_commands(robot, 2, seed=7)).accurate_step(
+        engine, 1e-3
+    )
+    estimated = accurate_step(robot, ENGINES[engine], 1e-3)
+    assert estimated is not None
+    assert 0.6 < estimated / measured < 1.7
 
 
 def test_an_engine_of_another_robot_converges_elsewhere(paper: Robot) -> None:
