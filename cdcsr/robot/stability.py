@@ -14,6 +14,9 @@ from cdcsr.robot.description import Robot
 MAX_TURN = 0.5
 """A step in which a hinge or the base turns by more than this, in [rad], means nothing."""
 
+_IMMOVABLE = 1e100
+"""The moment of inertia that a fixed base acts as, in [kg m^2]."""
+
 
 def highest_speeds(robot: Robot) -> NDArray[np.float64]:
     """Return the speed of each coordinate above which a copy has diverged, shape (nv,), in [m/s]
@@ -54,19 +57,22 @@ def stable_step(robot: Robot) -> float:
     and so are Bullet's where they are stiff.
     """
     fastest = 0.0
-    bodies = [robot.base.inertia] + [link.inertia for link, _ in robot.links]
+    base = robot.base.inertia if robot.base.mount == "free" else 3 * (_IMMOVABLE,)
+    bodies = [base] + [link.inertia for link, _ in robot.links]
     passing = robot.num_cables  # a cable that is held stiffens each hinge that it passes
     pull = max((servo.gain for servo in robot.servos), default=0.0)
-    radius = max((segment.cables.pitch_radius for segment in robot.segments), default=0.0)
+    radius = max((s.cables.pitch_radius for s in robot.segments if s.cable_angles), default=0.0)
     for (lower, upper), (_, joint) in zip(pairwise(bodies), robot.links, strict=True):
         tilt = sin(min(joint.limit, pi / 2)) ** 2
         stiffness = joint.stiffness + passing * pull * radius**2
         for axis in (0, 1):
-            thin = [body[axis] * (1 - tilt) + body[2] * tilt for body in (lower, upper)]
             least = [
-                min(body[axis], other) for body, other in zip((lower, upper), thin, strict=True)
+                min(body[axis], body[axis] * (1 - tilt) + body[2] * tilt) for body in (lower, upper)
             ]
             fastest = max(fastest, 4 * stiffness * (1 / least[0] + 1 / least[1]))
+        if joint.torsion is not None:
+            twist = 4 * joint.torsion.stiffness
+            fastest = max(fastest, twist * (1 / lower[2] + 1 / upper[2]))
     for servo in robot.servos:
         fastest = max(fastest, servo.gain / servo.mass)
     return 2 / sqrt(fastest) if fastest else inf
