@@ -5,12 +5,13 @@ INSTALLED := .venv/.installed
 PIP := $(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt
 
 .DEFAULT_GOAL := help
-.PHONY: help setup check test test-all demo bench clean
+.PHONY: help setup check test test-all coverage demo bench clean
 
 help:
 	@echo "make demo      train a small policy and show it in both engines, into demo/"
 	@echo "make test      checks, then the fast tests"
 	@echo "make test-all  checks, then every test"
+	@echo "make coverage  the fast tests, and the share of lines that they run"
 	@echo "make bench     measure speed and memory, times as ratios within one process"
 	@echo "make check     lint, format, types, import contract"
 	@echo "make setup     create .venv with the versions in constraints.txt"
@@ -45,6 +46,10 @@ test: check
 test-all: check
 	@echo "==> all tests"
 	@OMP_NUM_THREADS=1 $(BIN)/pytest -n auto -m 'slow or not slow'
+
+coverage: setup
+	@echo "==> line coverage of the fast tests"
+	@OMP_NUM_THREADS=1 $(BIN)/pytest -n auto --cov --cov-report=term-missing:skip-covered
 
 demo: setup
 	@echo "==> demo"

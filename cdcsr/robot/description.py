@@ -14,6 +14,7 @@ from __future__ import annotations
 
 import hashlib
 import json
+import shlex
 import tomllib
 from collections.abc import Iterator
 from importlib import resources
@@ -296,7 +297,9 @@ def load_robot(robot: str | Path) -> Robot:
         return parse_robot(robot, "The robot's description")
     path = Path(robot)
     if path.suffix == ".toml":
-        return parse_robot(read_text(path, "robot description"), str(path))
+        found = parse_robot(read_text(path, "robot description"), str(path))
+        _READ_FROM[found.name, found.fingerprint] = str(path)
+        return found
     shipped = shipped_robots()
     if str(robot) not in shipped:
         raise CdcsrError(
@@ -305,6 +308,16 @@ def load_robot(robot: str | Path) -> Robot:
     return parse_robot(
         (resources.files("models") / "robots" / f"{robot}.toml").read_text("utf-8"), f"{robot}.toml"
     )
+
+
+_READ_FROM: dict[tuple[str, str], str] = {}
+"""The files from which descriptions were read in this process, by name and fingerprint."""
+
+
+def argument_of(robot: Robot) -> str:
+    """Return the word with which a command line names a robot, as it can be pasted: the file that
+    it was read from, or else its name."""
+    return shlex.quote(_READ_FROM.get((robot.name, robot.fingerprint), robot.name))
 
 
 def shipped_robots() -> list[str]:

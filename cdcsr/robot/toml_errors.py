@@ -13,7 +13,17 @@ from pydantic_core import ErrorDetails, InitErrorDetails, PydanticCustomError
 
 _SHOWN = 12
 """The number of errors that a report shows in full."""
-_brief = reprlib.Repr()
+
+
+class _Brief(reprlib.Repr):
+    """Shorten what was found."""
+
+    def repr_int(self, x: int, level: int) -> str:
+        # Python refuses to write an integer of more than 4,300 digits.
+        return f"an integer of {bits} bits" if (bits := x.bit_length()) > 999 else repr(x)
+
+
+_brief = _Brief()
 _brief.maxstring = _brief.maxother = _brief.maxlong = 60
 
 

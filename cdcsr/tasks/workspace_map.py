@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from cdcsr.errors import CdcsrError
 from cdcsr.files import note, write_bytes
 from cdcsr.reading import MOST_TABLE, digest, read_bytes
-from cdcsr.robot.description import Robot, differences, parse_robot
+from cdcsr.robot.description import Robot, argument_of, differences, parse_robot
 
 Array = NDArray[np.float64]
 _OLDER = {f"{name}.npy" for name in ("robot", "origin", "edges", "cells")}
@@ -85,7 +85,9 @@ def load_workspace(robot: Robot, path: Path | None = None) -> Workspace:
         CdcsrError: there is no map, it is damaged, or it is of another robot.
     """
     file = f"{robot.name}.npz"
-    remedy = f"make one with `cdcsr workspace {robot.name} --out {file}` and give --space {file}"
+    remedy = (
+        f"make one with `cdcsr workspace {argument_of(robot)} --out {file}` and give --space {file}"
+    )
     if path is None:
         shipped = resources.files("models") / "workspaces" / f"{robot.name}.npz"
         if not shipped.is_file():

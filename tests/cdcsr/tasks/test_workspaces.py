@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import re
+import shlex
 from pathlib import Path
 
 import numpy as np
@@ -82,3 +84,15 @@ def test_a_map_that_is_missing_or_damaged_names_the_command(tmp_path: Path) -> N
 def test_demonstrations_for_a_workspace_are_taken_in_the_whole_workspace() -> None:
     assert [demonstration_space(n) for n in ("anchor", "floating", "spatter")] == ["anchor"] * 3
     assert [demonstration_space(n) for n in ("workspace", "my.npz")] == ["workspace", "my.npz"]
+
+
+def test_the_command_that_makes_a_map_can_be_pasted(tmp_path: Path) -> None:
+    file = tmp_path / "my arm.toml"
+    text = load_robot("planar-single").to_toml()
+    file.write_text(text.replace('"planar-single"', '"c-lab"'))
+    for robot, word in ((load_robot(file), str(file)), (load_robot("three-cable"), "three-cable")):
+        with pytest.raises(CdcsrError) as caught:
+            make_space(str(tmp_path / "none.npz"), robot)
+        found = re.search("`(.*)`", str(caught.value))
+        assert found is not None
+        assert shlex.split(found[1])[:3] == ["cdcsr", "workspace", word]
