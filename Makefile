@@ -5,13 +5,14 @@ INSTALLED := .venv/.installed
 PIP := $(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt
 
 .DEFAULT_GOAL := help
-.PHONY: help setup check test test-all coverage demo bench clean
+.PHONY: help setup check test test-all coverage mutants demo bench clean
 
 help:
 	@echo "make demo      train a small policy and show it in both engines, into demo/"
 	@echo "make test      checks, then the fast tests"
 	@echo "make test-all  checks, then every test"
 	@echo "make coverage  the fast tests, and the share of lines that they run"
+	@echo "make mutants   change the code in random places, and see whether tests notice (hours)"
 	@echo "make bench     measure speed and memory, times as ratios within one process"
 	@echo "make check     lint, format, types, import contract"
 	@echo "make setup     create .venv with the versions in constraints.txt"
@@ -50,6 +51,10 @@ test-all: check
 coverage: setup
 	@echo "==> line coverage of the fast tests"
 	@OMP_NUM_THREADS=1 $(BIN)/pytest -n auto --cov --cov-report=term-missing:skip-covered
+
+mutants: setup
+	@$(PIP) cosmic-ray
+	@$(BIN)/python -m tests.robustness.mutants
 
 demo: setup
 	@echo "==> demo"
