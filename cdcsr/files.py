@@ -18,7 +18,7 @@ from pathlib import Path
 from typing import Any
 
 from cdcsr.errors import CdcsrError, cannot_write
-from cdcsr.leftovers import sweep, temporary_beside
+from cdcsr.leftovers import check_depth, make_folder, sweep, temporary_beside
 from cdcsr.reading import MOST_RECORD, digest, read_text
 
 JsonObject = dict[str, Any]
@@ -62,7 +62,7 @@ def replacing(path: Path) -> Iterator[Path]:
     try:
         place = Path(os.path.realpath(path))
         temporary = temporary_beside(place)
-        place.parent.mkdir(parents=True, exist_ok=True)
+        make_folder(place.parent)
         sweep(place.parent)
         found = _look(place)
         if found is not None:
@@ -174,6 +174,7 @@ def _look(path: Path) -> os.stat_result | None:
     Raises:
         OSError: a name is too long, links run in a circle, or the folder may not be searched.
     """
+    check_depth(path)
     try:
         return path.stat()
     except (FileNotFoundError, NotADirectoryError):

@@ -6,6 +6,7 @@ process, so that the next process that writes into the same folder can tell that
 
 from __future__ import annotations
 
+import errno
 import hashlib
 import os
 import re
@@ -18,12 +19,35 @@ from pathlib import Path
 _NAME = re.compile(r"\.cdcsr-([0-9a-f]{8})-(\d+)-(\d+)-[0-9a-f]{8}(\.next)?")
 """Machine, process number, and when that process started."""
 
+_DEEPEST = 256
+"""The largest number of folders in a path."""
+
 
 def temporary_beside(path: Path) -> Path:
     """Return a new hidden name in the folder of `path`; :func:`sweep` finds it again."""
     pid = os.getpid()
     name = f".cdcsr-{_machine()}-{pid}-{started(pid) or 0}-{uuid.uuid4().hex[:8]}"
     return path.with_name(name)
+
+
+def make_folder(path: Path) -> None:
+    """Make a folder and those above it, if they are missing.
+
+    Raises:
+        OSError: it cannot be made, or is deeper than Python, which goes up one by one, can follow.
+    """
+    check_depth(path)
+    path.mkdir(parents=True, exist_ok=True)
+
+
+def check_depth(path: Path) -> None:
+    """Check that a path leads through at most 256 folders.
+
+    Raises:
+        OSError: it leads through more.
+    """
+    if len(path.parts) > _DEEPEST:
+        raise OSError(errno.ENAMETOOLONG, f"it leads through {len(path.parts)} folders")
 
 
 def sweep(folder: Path) -> None:

@@ -12,7 +12,7 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 
 from cdcsr.errors import CdcsrError, cannot_write
-from cdcsr.leftovers import is_running, started, temporary_beside
+from cdcsr.leftovers import is_running, make_folder, started, temporary_beside
 
 HEARTBEAT = 5.0
 """Seconds between two signs of life of the process that holds a lock."""
@@ -50,7 +50,7 @@ def lock(path: Path) -> Iterator[None]:
     beat = threading.Thread(target=_keep_alive, args=(path, done), daemon=True)
     try:  # a signal may end this process at any point here
         try:
-            path.parent.mkdir(parents=True, exist_ok=True)
+            make_folder(path.parent)
             mine.write_text(json.dumps(holder))
             _take(path, mine)
             mine.unlink(missing_ok=True)  # now, as a killed process would leave it behind

@@ -104,7 +104,7 @@ def sample(package: str, num: int, seed: int) -> tuple[list[Mutant], int]:
             break
         code = (ROOT / file).read_text("utf-8")
         changed = mutate_code(code, get_operator(name)(), occurrence)
-        if meaning(changed) == meaning(code):
+        if changed is None or meaning(changed) == meaning(code):
             continue
         pairs = zip(code.splitlines(), changed.splitlines(), strict=False)
         line = next((i for i, (a, b) in enumerate(pairs, 1) if a != b), 0)

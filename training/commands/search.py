@@ -167,7 +167,6 @@ def _prepare(
             f"{controller.name} is for the task {controller.task}; a search is for controllers of "
             "reach, precise or quiet."
         )
-    description = robot_of(controller, description)
     own = ruler(description).frame_skip
     if controller.frame_skip not in (None, own):
         raise CdcsrError(

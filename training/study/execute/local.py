@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import IO
 
 from cdcsr.errors import CdcsrError
+from cdcsr.leftovers import make_folder
 from cdcsr.locks import Busy
 from cdcsr.simulation.arguments import check_count
 from training.study.execute.jobs import Job
@@ -89,7 +90,7 @@ def carry_out_here(jobs: Sequence[Job], runs: Path, results: Path, slots: int) -
     """
     check_count("--jobs", slots, 1_000)
     try:
-        runs.mkdir(parents=True, exist_ok=True)
+        make_folder(runs)
     except OSError as error:
         raise CdcsrError(f"Cannot make the folder {runs}: {error.strerror}.") from None
     outcome, progress = Outcome(), Progress(jobs, slots)

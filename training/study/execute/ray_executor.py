@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from cdcsr.errors import CdcsrError
+from cdcsr.leftovers import make_folder
 from cdcsr.locks import STALE_AFTER, Busy
 from training.study.execute.jobs import Job
 from training.study.execute.local import Outcome, Progress, duration, failure, log_path
@@ -82,7 +83,7 @@ def do_one(text: str, runs: str, results: str) -> tuple[int, float]:
         The exit code, and the minutes it took.
     """
     job, runs_folder, folder = Job.from_json(text), Path(runs), Path(results)
-    runs_folder.mkdir(parents=True, exist_ok=True)
+    make_folder(runs_folder)
     started = time.monotonic()
     while True:
         with log_path(job, runs_folder).open("ab") as log:
