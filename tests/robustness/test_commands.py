@@ -76,7 +76,7 @@ KINDS: dict[str, list[str]] = {
         "all,all",
         *NAMES,
     ],
-    "space": ["none.npz", "broken.npz", "folder.npz", f"{LONG}.npz", *NAMES],
+    "space": ["none.npz", "broken.npz", "folder.npz", "pipe.npz", f"{LONG}.npz", *NAMES],
     "policy": [
         "nearest:none",
         "json:none",

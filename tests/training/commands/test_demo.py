@@ -138,5 +138,5 @@ def test_minutes_must_be_positive(
     tmp_path: Path, minutes: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
     assert main(["demo", "--out", str(tmp_path / "demo"), "--minutes", minutes]) == 2
-    assert "minutes must be positive" in capsys.readouterr().err
+    assert "minutes must be a number from 0.001 to" in capsys.readouterr().err
     assert not (tmp_path / "demo").exists()
