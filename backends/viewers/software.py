@@ -19,6 +19,7 @@ from cdcsr.robot.description import Robot
 from cdcsr.robot.meshes import link_parts, visual_meshes
 from cdcsr.robot.poses import Poses, link_poses
 from cdcsr.robot.routing import routing
+from cdcsr.robot.ruler import ruler
 from cdcsr.simulation.cameras import camera_angles
 
 Array = NDArray[np.float64]
@@ -26,7 +27,7 @@ Array = NDArray[np.float64]
 HEIGHT, WIDTH = 640, 480
 """The size of a picture in pixels, upright as the robot is."""
 TARGET_RADIUS, TIP_RADIUS, CABLE_RADIUS = 0.018, 0.010, 0.002
-"""The radii of the marks and of the drawn cables, in [m]."""
+"""The radii of the marks and of the drawn cables, in [m], for a robot of the paper's size."""
 TARGET_COLOR = (235, 45, 60, 255)
 TIP_COLOR = (25, 160, 70, 255)
 CABLE_COLOR = (60, 60, 66, 255)
@@ -46,10 +47,10 @@ class Renderer:
     def __init__(self, robot: Robot) -> None:
         self._client = connect(robot)
         self._disconnect = weakref.finalize(self, pybullet.disconnect, self._client)
-        self._robot, self._route = robot, routing(robot)
+        self._robot, self._route, self._size = robot, routing(robot), ruler(robot).size
         meshes = visual_meshes(robot)
         self._parts = [self._mesh(meshes[part]) for part in ("base", *link_parts(robot))]
-        self._tip = self._ball(TIP_RADIUS, TIP_COLOR)
+        self._tip = self._ball(self._size * TIP_RADIUS, TIP_COLOR)
         self._targets: list[int] = []
         straight = np.zeros(7 + robot.num_cables + robot.num_hinges)
         straight[3] = 1.0
@@ -132,7 +133,7 @@ class Renderer:
 
     def _mark(self, targets: Array) -> None:
         while len(self._targets) < len(targets):
-            self._targets.append(self._ball(TARGET_RADIUS, TARGET_COLOR))
+            self._targets.append(self._ball(self._size * TARGET_RADIUS, TARGET_COLOR))
         for ball in self._targets:
             self._put(ball, np.array(_FAR_AWAY))
         for ball, target in zip(self._targets, targets, strict=False):
@@ -180,12 +181,9 @@ class Renderer:
         return body
 
     def _line(self, along: Array) -> int:
-        (body,) = self._mesh(
-            _coloured(
-                trimesh.creation.cylinder(CABLE_RADIUS, np.linalg.norm(along), sections=8),
-                CABLE_COLOR,
-            )
-        )
+        radius = self._size * CABLE_RADIUS
+        line = trimesh.creation.cylinder(radius, np.linalg.norm(along), sections=8)
+        (body,) = self._mesh(_coloured(line, CABLE_COLOR))
         return body
 
     def _put(self, body: int, place: Array, quaternion: ArrayLike = (0.0, 0.0, 0.0, 1.0)) -> None:

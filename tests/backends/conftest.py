@@ -6,10 +6,11 @@ from collections.abc import Iterator
 
 import pytest
 
-from cdcsr.robot.description import Robot, load_robot, shipped_robots
+from cdcsr.robot.description import Robot, load_robot
 from cdcsr.simulation.contract import Simulation
 from cdcsr.simulation.engines import backend_names, load_backend, make_simulation
 from tests.support.physics import Make
+from tests.support.random_robots import KINDS
 
 
 @pytest.fixture(params=backend_names())
@@ -34,7 +35,7 @@ def stiff_engine(request: pytest.FixtureRequest) -> str:
     return request.param
 
 
-@pytest.fixture(params=shipped_robots())
+@pytest.fixture(params=KINDS)
 def robot(request: pytest.FixtureRequest) -> Robot:
     return load_robot(request.param)
 

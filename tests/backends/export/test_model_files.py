@@ -12,9 +12,10 @@ import pytest
 
 from cdcsr.errors import CdcsrError
 from cdcsr.files import JsonObject
-from cdcsr.robot.description import Robot, load_robot, shipped_robots
+from cdcsr.robot.description import Robot, load_robot
 from cdcsr.robot.routing import routing
 from tests.support.physics import described_bodies
+from tests.support.random_robots import KINDS
 from training.commands.build_model import build_model
 
 ALONE = "assert not {'cdcsr', 'backends'} & {name.partition('.')[0] for name in sys.modules}"
@@ -64,7 +65,7 @@ def plain(code: str, file: Path, folder: Path) -> JsonObject:
     return json.loads(done.stdout.splitlines()[-1])
 
 
-@pytest.fixture(scope="module", params=shipped_robots())
+@pytest.fixture(scope="module", params=KINDS)
 def built(
     request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory
 ) -> tuple[str, Path]:

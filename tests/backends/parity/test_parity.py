@@ -23,9 +23,10 @@ from backends.parity.trajectories import Commands, random_commands
 from backends.pybullet.simulation import PybulletSimulation
 from cdcsr.cli import run
 from cdcsr.files import JsonObject
-from cdcsr.robot.description import Robot, load_robot, shipped_robots
+from cdcsr.robot.description import Robot, load_robot
 from cdcsr.robot.routing import cable_lengths, routing
 from cdcsr.simulation.engines import engine_factory, switched_off
+from tests.support.random_robots import KINDS
 from training.commands.parity import parity as command
 from training.measure.trajectories import demonstrator_commands
 
@@ -71,7 +72,7 @@ def scaled(section: str, key: str, factor: float) -> Change:
 # --- level 1 --------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("name", shipped_robots())
+@pytest.mark.parametrize("name", KINDS)
 def test_the_engines_agree_at_random_states(name: str) -> None:
     checks = one_state(load_robot(name), ENGINES)
     assert [str(check) for check in checks if not check.passed] == []
@@ -312,7 +313,7 @@ def test_wrong_options_exit_with_2(
 
 
 @pytest.mark.parametrize("engine", ENGINES)
-@pytest.mark.parametrize("name", shipped_robots())
+@pytest.mark.parametrize("name", KINDS)
 def test_cables_hardly_stretch_along_demonstrations(name: str, engine: str) -> None:
     """On the way to targets they get at most 0.05 mm longer than at rest."""
     robot = load_robot(name)
@@ -328,7 +329,7 @@ def test_cables_hardly_stretch_along_demonstrations(name: str, engine: str) -> N
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("name", shipped_robots())
+@pytest.mark.parametrize("name", KINDS)
 def test_every_shipped_robot_is_within_every_tolerance(name: str) -> None:
     found = measure(load_robot(name), ENGINES, both(load_robot(name), 4, 1), seed=1)
     assert [str(check) for check in found.failed] == []

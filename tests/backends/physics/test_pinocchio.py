@@ -11,10 +11,11 @@ import pytest
 
 from backends.export.model_files import write_model
 from backends.parity.one_state import compare, random_states
-from cdcsr.robot.description import Robot, load_robot, shipped_robots
+from cdcsr.robot.description import Robot, load_robot
 from cdcsr.simulation.contract import Array, Dynamics, Snapshot
 from cdcsr.simulation.engines import load_backend
 from cdcsr.simulation.rotations import rotation_matrix
+from tests.support.random_robots import KINDS
 
 pinocchio: Any = pytest.importorskip(
     "pinocchio", reason="Pinocchio has no package for this platform"
@@ -73,7 +74,7 @@ def evaluation(robot: Robot, backend: str, states: Snapshot) -> Dynamics:
     return found
 
 
-@pytest.mark.parametrize("name", shipped_robots())
+@pytest.mark.parametrize("name", KINDS)
 def test_both_engines_have_pinocchios_equation_of_motion(name: str, tmp_path: Path) -> None:
     robot = load_robot(name)
     states = random_states(robot, 6, seed=3)
