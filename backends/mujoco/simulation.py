@@ -285,7 +285,7 @@ class MujocoSimulation(BatchSimulation):
 
     engine = "mujoco"
     title = "MuJoCo"
-    capabilities = frozenset({"render", "bit_exact", "any_arm"})
+    capabilities = frozenset({"render", "bit_exact"})
     physics = Physics(
         joint_dynamics="MuJoCo's",
         integration="MuJoCo's Euler, semi-implicit",

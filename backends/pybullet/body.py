@@ -31,22 +31,24 @@ class Body:
     turning: Vector
 
     def __init__(self, robot: Robot, client: int, options: PybulletOptions) -> None:
-        self._client, self._body = client, load_robot_body(robot, client)
+        self._robot, self._client = robot, client
+        self._body = load_robot_body(robot, client, robot.base.mount == "fixed")
         damp_and_clamp(client, self._body, options.damping, options.max_joint_speed)
         self._sliders = range(robot.num_cables)
         self._joints = range(robot.num_cables + robot.num_hinges)
-        self._half_link = 0.5 * robot.links[-1][0].length
+        last_link, _ = robot.links[-1]
+        self._above_center = last_link.length - last_link.center_of_mass
 
     def set_plant(self, plant: Plant, row: int) -> None:
         """Take masses and dampers from one row of `plant`."""
-        set_masses(self._client, self._body, plant, row)
+        set_masses(self._robot, self._client, self._body, plant, row)
         set_damping(self._client, self._body, plant, row)
 
     def write(self, position: Array, velocity: Array) -> None:
         """Set the state.
 
         Args:
-            position: as a row of a Snapshot's, shape (7 + C + 2 J,).
+            position: as a row of a Snapshot's, shape (7 + C + H,).
             velocity: shape (nv,).
         """
         values, speeds = position.tolist(), velocity.tolist()
@@ -93,10 +95,10 @@ class Body:
             computeForwardKinematics=1,
             physicsClientId=self._client,
         )
-        # The tip is half a link above the last link's centre of mass, along its z axis.
-        half = self._half_link
-        along = 2 * half * (x * z + w * y), 2 * half * (y * z - w * x)
-        arm = (*along, half * (1 - 2 * (x * x + y * y)))
+        # The tip is above the last link's centre of mass, along its z axis.
+        above = self._above_center
+        along = 2 * above * (x * z + w * y), 2 * above * (y * z - w * x)
+        arm = (*along, above * (1 - 2 * (x * x + y * y)))
         return (*map(add, center, arm), *map(add, moving, _cross(turning, arm)))
 
     def push(self, force: list[float]) -> None:
@@ -107,6 +109,17 @@ class Body:
             pybullet.TORQUE_CONTROL,
             forces=force,
             physicsClientId=self._client,
+        )
+
+    def pull_base(self, place: list[float], force: list[float], torque: list[float]) -> None:
+        """Apply a force at the base's centre, which is at `place` in [m], and a torque in the next
+        step, in [N] and [N m], in the world frame."""
+        # For a base PyBullet takes the frames of a torque the other way round.
+        pybullet.applyExternalForce(
+            self._body, -1, force, place, pybullet.WORLD_FRAME, physicsClientId=self._client
+        )
+        pybullet.applyExternalTorque(
+            self._body, -1, torque, pybullet.WORLD_FRAME, physicsClientId=self._client
         )
 
     def drive(self, targets: list[float], strongest: list[float]) -> None:

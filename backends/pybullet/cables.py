@@ -14,6 +14,7 @@ these move it; the next step takes it back.
 An explicit damper c oscillates where h c exceeds the inertia that it acts on. So it is for a link
 bent by nearly a right angle, which its first hinge then turns about its own thin axis. There, and
 only there, the damper is made implicit: M + h c takes the place of M, and -h c a is a torque more.
+At joints of another kind, whose links may be thin rods, all dampers are implicit.
 
 Limits are Bullet's, of hinges and of sliders at their stops. A joint that is past its limit has a
 row in the problem, because Bullet's push there changes the tensions; but only tensions are handed
@@ -46,8 +47,14 @@ _crossing = compiled()(crossing)
 
 
 class Rig(NamedTuple):
-    """The cables and hinges of a robot as plain arrays; C cables, J joints."""
+    """The cables and hinges of a robot as plain arrays; C cables, J joints, H hinges."""
 
+    universal: bool
+    """Whether every joint bends about x, then about y, and does not twist."""
+    hinges: NDArray[np.int64]
+    """The numbers of each joint's hinges, the lowest first, shape (J, 3); -1 is no hinge."""
+    axes: NDArray[np.int64]
+    """The axis of each of these hinges: 0, 1, 2 for x, y, z; shape (J, 3)."""
     place: Array
     """Position across the arm, shape (C, 2), in [m]."""
     guide_offset: Array
@@ -60,7 +67,7 @@ class Rig(NamedTuple):
     """Shape (C,), in [kg]."""
     limit: Array
     """The largest travel of each slider in [m], then angle of each hinge to either side in [rad],
-    shape (C + 2 J,)."""
+    shape (C + H,)."""
     recovery_time: float
     """The time constant with which an excess of length decays, in [s]."""
 
@@ -68,14 +75,16 @@ class Rig(NamedTuple):
 def rig(robot: Robot) -> Rig:
     """Return the numbers of a robot that its tensions depend on and that no copy changes."""
     route = routing(robot)
-    hinges = [joint for _, joint in robot.links for _ in range(2)]
     return Rig(
+        universal=route.is_universal,
+        hinges=route.hinges,
+        axes=route.axes,
         place=route.place,
         guide_offset=route.guide_offset,
         joints=route.joints,
         slider_offset=route.slider_offset,
-        slider_mass=np.array([servo.mass for servo in robot.servos]),
-        limit=np.array([servo.stop for servo in robot.servos] + [joint.limit for joint in hinges]),
+        slider_mass=np.array([servo.mass for servo in robot.servos], dtype=float),
+        limit=np.array([s.stop for s in robot.servos] + [h.limit for h in robot.hinges]),
         recovery_time=robot.constraint.recovery_time,
     )
 
@@ -87,8 +96,8 @@ def cable_rows(rig: Rig, travel: Array, hinges: Array, jacobian: Array) -> Array
     Args:
         rig: the robot's numbers.
         travel: shape (C,), in [m].
-        hinges: shape (2 J,), in [rad].
-        jacobian: filled with the derivatives by sliders and hinges, shape (C, C + 2 J).
+        hinges: shape (H,), in [rad].
+        jacobian: filled with the derivatives by sliders and hinges, shape (C, C + H).
     """
     excess = np.empty(travel.size)
     sine, cosine = np.sin(hinges), np.cos(hinges)
@@ -98,6 +107,11 @@ def cable_rows(rig: Rig, travel: Array, hinges: Array, jacobian: Array) -> Array
         jacobian[c, c] = -np.sign(below)
         total = abs(below) - rig.slider_offset[c]
         for n in range(rig.joints[c]):
+            if not rig.universal:
+                low, high = np.array([px, py, -offset]), np.array([px, py, offset])
+                row = jacobian[c, travel.size :]
+                total += _any_crossing(rig, n, sine, cosine, low, high, row) - 2 * offset
+                continue
             x, y = 2 * n, 2 * n + 1
             length, by_x, by_y = _crossing(sine[x], cosine[x], sine[y], cosine[y], px, py, offset)
             total += length - 2 * offset
@@ -107,8 +121,49 @@ def cable_rows(rig: Rig, travel: Array, hinges: Array, jacobian: Array) -> Array
 
 
 @compiled()
+def _any_crossing(
+    rig: Rig, joint: int, sine: Array, cosine: Array, low: Array, high: Array, row: Array
+) -> float:
+    """Return the length between the guides below and above a joint of any hinges, in [m].
+
+    The upper guide is turned by R = R_1 R_2 R_3. With w_k = R_k ... R_3 high, a unit rate of the
+    hinge k moves it by R_1 ... R_(k-1) (a_k x w_k).
+
+    Args:
+        rig: the robot's numbers.
+        joint: its number.
+        sine, cosine: of all hinges.
+        low, high: the places of the guides in their links' frames at the joint, shape (3,), in [m].
+        row: filled with the derivatives by the joint's hinges, shape (H,), in [m/rad].
+    """
+    turned, point = np.empty((3, 3)), high.copy()
+    for k in range(2, -1, -1):
+        hinge = rig.hinges[joint, k]
+        if hinge >= 0:
+            _turn(point, rig.axes[joint, k], sine[hinge], cosine[hinge])
+            turned[k] = point
+    along = point - low
+    length = np.sqrt(along[0] ** 2 + along[1] ** 2 + along[2] ** 2)
+    for k in range(3):
+        hinge, a = rig.hinges[joint, k], rig.axes[joint, k]
+        if hinge >= 0:
+            b, c = (a + 1) % 3, (a + 2) % 3  # a_k x w has -w_c along b, and w_b along c
+            row[hinge] = (turned[k, b] * along[c] - turned[k, c] * along[b]) / length
+            _turn(along, a, -sine[hinge], cosine[hinge])
+    return length
+
+
+@compiled()
+def _turn(vector: Array, axis: int, sine: Array, cosine: Array) -> None:
+    """Turn a vector about a coordinate axis by the angle of a sine and a cosine."""
+    b, c = (axis + 1) % 3, (axis + 2) % 3
+    first, second = vector[b], vector[c]
+    vector[b], vector[c] = cosine * first - sine * second, sine * first + cosine * second
+
+
+@compiled()
 def stiff_dampers(rig: Rig, plant: Plant, copy: int, hinges: Array, step: float) -> Array:
-    """Return the dampers that must be implicit, others as zero, shape (C + 2 J,).
+    """Return the dampers that must be implicit, others as zero, shape (C + H,).
 
     A damper turns the two bodies at its hinge against each other. Alone in space, moments I and J
     about its axis, it would change their relative speed by h c (1 / I + 1 / J) of itself in a step;
@@ -117,9 +172,11 @@ def stiff_dampers(rig: Rig, plant: Plant, copy: int, hinges: Array, step: float)
 
     Args:
         rig, plant, copy, step: as for :func:`joint_forces`.
-        hinges: shape (2 J,), in [rad].
+        hinges: shape (H,), in [rad].
     """
     cables, damping = rig.slider_mass.size, plant.damping[copy]
+    if not rig.universal:
+        return damping.copy()
     stiff = np.zeros(damping.size)
     for c in range(cables):
         if step * damping[c] / rig.slider_mass[c] > 0.5:
@@ -163,14 +220,14 @@ def joint_forces(
         copy: the row of `plant` to use.
         mass: M, shape (nv, nv), in Bullet's coordinates.
         bias: shape (nv,).
-        joints: positions of sliders and hinges, shape (C + 2 J,), in [m] and [rad].
-        velocity: of sliders and hinges, shape (C + 2 J,), in [m/s] and [rad/s].
+        joints: positions of sliders and hinges, shape (C + H,), in [m] and [rad].
+        velocity: of sliders and hinges, shape (C + H,), in [m/s] and [rad/s].
         command: servo set-points, shape (C,), in [m].
         step: h in [s].
         tension: shape (C,), in [N]; replaced. The old ones are a first guess of which cables pull.
         servo: filled with the servos' forces on the sliders, shape (C,), in [N].
-        force: filled with all other forces on sliders and hinges, shape (C + 2 J,), in [N] and
-            [N m]: springs, cables, and what makes stiff dampers implicit; not Bullet's own dampers
+        force: filled with all other forces on sliders and hinges, shape (C + H,), in [N] and [N m]:
+            springs, cables, and what makes stiff dampers implicit; not Bullet's own dampers
             and hinge limits.
     """
     cables, size = tension.size, mass.shape[0]

@@ -24,7 +24,7 @@ does not stop an arm that is swung against a short cable."""
 
 
 def connect(robot: Robot, substeps: int = 1) -> int:
-    """Open a physics client without gravity at the robot's time step; the caller disconnects it.
+    """Open a physics client with the robot's gravity and time step; the caller disconnects it.
 
     Args:
         robot: the description.
@@ -39,11 +39,11 @@ def connect(robot: Robot, substeps: int = 1) -> int:
             "PyBullet has no free physics client left; close() simulations that are not needed."
         )
     pybullet.setTimeStep(robot.time_step / substeps, physicsClientId=client)
-    pybullet.setGravity(0, 0, 0, physicsClientId=client)
+    pybullet.setGravity(*robot.gravity, physicsClientId=client)
     return client
 
 
-def load_robot_body(robot: Robot, client: int) -> int:
+def load_robot_body(robot: Robot, client: int, fixed: bool = False) -> int:
     """Load one copy, straight and at rest at the origin.
 
     It keeps Bullet's joint damping and its limits of hinges and sliders. No other damping, no
@@ -52,6 +52,7 @@ def load_robot_body(robot: Robot, client: int) -> int:
     Args:
         robot: the description.
         client: the physics client.
+        fixed: whether its base never moves.
 
     Returns:
         The body's id.
@@ -64,7 +65,7 @@ def load_robot_body(robot: Robot, client: int) -> int:
     if joints > MOST_JOINTS:
         raise CdcsrError(
             f"PyBullet moves at most {MOST_JOINTS} joints in a body; {robot.name} has {joints}, of "
-            f"{robot.num_cables} cables and {robot.num_links} links with two hinges each. "
+            f"{robot.num_cables} cables and {robot.num_hinges} hinges of {robot.num_links} links. "
             "Describe it with fewer links, or use the engine mujoco."
         )
     flags = pybullet.URDF_USE_INERTIA_FROM_FILE
@@ -74,7 +75,7 @@ def load_robot_body(robot: Robot, client: int) -> int:
     try:
         with os.fdopen(handle, "w", encoding="utf-8") as file:
             file.write(urdf(robot))
-        body = pybullet.loadURDF(name, flags=flags, physicsClientId=client)
+        body = pybullet.loadURDF(name, useFixedBase=fixed, flags=flags, physicsClientId=client)
     finally:
         Path(name).unlink()
     count = pybullet.getNumJoints(body, physicsClientId=client)
@@ -109,20 +110,21 @@ def damp_and_clamp(client: int, body: int, damping: float, max_joint_speed: floa
     )
 
 
-def set_masses(client: int, body: int, plant: Plant, row: int) -> None:
-    """Set the masses and inertias of a body to those in one row of `plant`.
+def set_masses(robot: Robot, client: int, body: int, plant: Plant, row: int) -> None:
+    """Set the masses and inertias of a robot's body to those in one row of `plant`.
 
     calculateMassMatrix, calculateInverseDynamics and calculateJacobian go on with the masses that
     the body had when one of them was first called, even if that body was removed and another one
     has taken its place in memory.
     """
-    num_links = plant.link_mass.shape[1]
-    first = pybullet.getNumJoints(body, physicsClientId=client) - 2 * num_links
     bodies = [(-1, plant.base_mass[row], plant.base_inertia[row])]
-    # A link's own body is at the second of its two hinges.
+    if pybullet.getDynamicsInfo(body, -1, physicsClientId=client)[0] == 0.0:
+        bodies.clear()  # a fixed base, which a mass would set free
+    # A link's own body is at the last of its hinges.
+    own = {j: robot.num_cables + hinge for hinge, j in enumerate(robot.link_of_hinge)}
     bodies += [
-        (first + 2 * j + 1, plant.link_mass[row, j], plant.link_inertia[row, j])
-        for j in range(num_links)
+        (own[j], plant.link_mass[row, j], plant.link_inertia[row, j])
+        for j in range(robot.num_links)
     ]
     for index, mass, inertia in bodies:  # with a mass alone PyBullet would compute an inertia
         moments = inertia.tolist()

@@ -4,7 +4,8 @@ PyBullet's coordinates are [base angular, base linear, sliders, hinges], the bas
 frame, and neither the base's place nor its linear velocity enters. So the bodies that are asked
 stay at the origin. They never move: PyBullet keeps the masses that a body had when it was first
 asked, so that a body that was given others must be loaded anew, and these are loaded for nothing
-else.
+else. All float freely in a world without gravity: gravity g is an acceleration of the frame, so
+that its force is M e g with the base's linear directions e; a fixed base is left out afterwards.
 """
 
 from __future__ import annotations
@@ -35,8 +36,10 @@ class Equation:
     """Evaluates the equation of motion of a robot at any state, in a PyBullet client of its own."""
 
     def __init__(self, robot: Robot) -> None:
-        self._robot = robot
+        self._robot, self._gravity = robot, np.array(robot.gravity)
+        self._falls, self._fixed = any(robot.gravity), robot.base.mount == "fixed"
         self._client = connect(robot)
+        pybullet.setGravity(0, 0, 0, physicsClientId=self._client)
         self._disconnect = weakref.finalize(self, pybullet.disconnect, self._client)
         self._bodies: dict[bytes, int] = {}
         self._row = struct.Struct(f"{robot.num_coordinates}d").pack
@@ -62,7 +65,7 @@ class Equation:
         for row, key in enumerate(keys):
             if key not in self._bodies:
                 self._bodies[key] = load_robot_body(self._robot, self._client)
-                set_masses(self._client, self._bodies[key], plant, row)
+                set_masses(self._robot, self._client, self._bodies[key], plant, row)
         return [self._bodies[key] for key in keys]
 
     def terms(
@@ -71,17 +74,20 @@ class Equation:
         joints: Sequence[float],
         turning: tuple[float, float, float],
         rates: Sequence[float],
+        quaternion: Array,
     ) -> tuple[Array, Array]:
-        """Return mass matrix and bias force in PyBullet's coordinates.
+        """Return mass matrix and bias force, gravity included, in PyBullet's coordinates.
 
         Args:
             body: from :meth:`bodies`.
-            joints: positions of sliders and hinges, C + 2 J numbers, in [m] and [rad].
+            joints: positions of sliders and hinges, C + H numbers, in [m] and [rad].
             turning: the base's angular velocity in the base's frame, in [rad/s].
-            rates: of sliders and hinges, C + 2 J numbers, in [m/s] and [rad/s].
+            rates: of sliders and hinges, C + H numbers, in [m/s] and [rad/s].
+            quaternion: of the base, shape (4,), w-x-y-z.
 
         Returns:
-            The mass matrix, shape (nv, nv), and the bias force, shape (nv,).
+            The mass matrix, shape (nv, nv), and the bias force, shape (nv,). A fixed base has no
+            part in either: its mass matrix is one.
         """
         rows = pybullet.calculateMassMatrix(body, joints, physicsClientId=self._client)
         force = pybullet.calculateInverseDynamics(
@@ -95,15 +101,26 @@ class Equation:
         packed = b"".join([self._row(*row) for row in rows])
         # Unlike everything else in PyBullet, the force has the base's linear part first.
         bias = self._row(*force[3:6], *force[:3], *force[6:])
-        return np.frombuffer(packed).reshape(len(rows), -1), np.frombuffer(bias)
+        if not (self._falls or self._fixed):
+            return np.frombuffer(packed).reshape(len(rows), -1), np.frombuffer(bias)
+        mass, forces = np.array(rows), np.array(np.frombuffer(bias))
+        if self._falls:
+            forces -= mass[:, 3:6] @ (rotation_matrix(quaternion).T @ self._gravity)
+        if self._fixed:
+            forces[:6] = mass[:6] = mass[:, :6] = 0.0
+            mass[:6, :6] = np.eye(6)
+        return mass, forces
 
-    def dynamics(self, position: Array, velocity: Array, plant: Plant) -> Dynamics:
+    def dynamics(
+        self, position: Array, velocity: Array, plant: Plant, load: Array | None = None
+    ) -> Dynamics:
         """Return the equation at n states, in the contract's coordinates.
 
         Args:
-            position: as in a Snapshot, shape (n, 7 + C + 2 J).
+            position: as in a Snapshot, shape (n, 7 + C + H).
             velocity: shape (n, nv).
             plant: the numbers of n copies.
+            load: the force of the loads, shape (n, nv), or None.
         """
         cables = self._robot.num_cables
         rows = map(self._one, self.bodies(plant), position, velocity)
@@ -112,6 +129,8 @@ class Equation:
         passive = np.zeros_like(velocity)
         passive[:, 6:] = -plant.damping * rates
         passive[:, 6 + cables :] -= plant.stiffness * joints[:, cables:]
+        if load is not None:
+            passive += load
         cable = np.zeros((len(position), cables, velocity.shape[1]))
         travel, hinges = joints[:, :cables], joints[:, cables:]
         cable[..., 6:] = cable_jacobian(self._route, travel, hinges)
@@ -127,7 +146,7 @@ class Equation:
         turn = rotation_matrix(position[3:7])
         joints, rates = position[7:].tolist(), velocity[6:].tolist()
         p, q, r = (turn.T @ velocity[3:6]).tolist()
-        mass, bias = self.terms(body, joints, (p, q, r), rates)
+        mass, bias = self.terms(body, joints, (p, q, r), rates, position[3:7])
         # velocity_bullet = to_bullet @ velocity
         to_bullet = np.eye(len(velocity))
         to_bullet[:6, :6] = np.block([[np.zeros((3, 3)), turn.T], [turn.T, np.zeros((3, 3))]])
@@ -141,8 +160,8 @@ class Equation:
             still,
             physicsClientId=self._client,
         )
-        return (
-            to_bullet.T @ mass @ to_bullet,
-            to_bullet.T @ bias,
-            turn @ np.array(linear) @ to_bullet,
-        )
+        tip = turn @ np.array(linear) @ to_bullet
+        if self._fixed:
+            tip[:, :6] = 0.0
+            return mass, bias, tip
+        return to_bullet.T @ mass @ to_bullet, to_bullet.T @ bias, tip

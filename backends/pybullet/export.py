@@ -9,15 +9,15 @@ from pathlib import Path
 from backends.pybullet.urdf import cable_file, urdf
 from cdcsr.files import write_json, write_text
 from cdcsr.robot.description import Robot
+from cdcsr.robot.meshes import link_parts
 
 
 def write_urdf(robot: Robot, folder: Path, meshes: Mapping[str, str]) -> None:
     """Write `<robot>.urdf` and `cables.json`; see :data:`backends.export.model_files.Exporter`."""
     # In URDF every link names its own mesh.
-    links = [s for s, segment in enumerate(robot.segments) for _ in range(segment.links)]
-    sliders = [s for s, segment in enumerate(robot.segments) for _ in segment.cables.angles_deg]
+    sliders = [s for s, segment in enumerate(robot.segments) for _ in segment.cable_angles]
     mesh_files = {"base": meshes["base"]}
-    mesh_files |= {f"link_{j}": meshes[f"link_{s}"] for j, s in enumerate(links)}
+    mesh_files |= {f"link_{j}": meshes[part] for j, part in enumerate(link_parts(robot))}
     mesh_files |= {f"slider_{c}": meshes[f"slider_{s}"] for c, s in enumerate(sliders)}
-    write_text(folder / f"{robot.name}.urdf", urdf(robot, mesh_files))
+    write_text(folder / f"{robot.name}.urdf", urdf(robot, mesh_files, world=True))
     write_json(folder / "cables.json", cable_file(robot))

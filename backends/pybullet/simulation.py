@@ -99,6 +99,9 @@ class PybulletSimulation(Simulation):
     def _set_plant(self, ids: NDArray[np.int64], plant: Plant) -> None:
         self._world.set_plant(ids, plant)
 
+    def _set_loads(self) -> None:
+        self._world.set_loads(self.loads)
+
     def _reset(self, ids: NDArray[np.int64]) -> None:
         self._world.reset(ids.tolist())
 
@@ -148,7 +151,9 @@ class PybulletSimulation(Simulation):
 
     def _dynamics(self, ids: NDArray[np.int64]) -> Dynamics:
         plant = Plant(*(rows[ids] for rows in self.plant))
-        return self._equation.dynamics(self._world.position[ids], self._world.velocity[ids], plant)
+        position, velocity = self._world.position[ids], self._world.velocity[ids]
+        load = self.loads.generalized(position, ids) if self.loads.active else None
+        return self._equation.dynamics(position, velocity, plant, load)
 
     def _render(self, index: int, camera: str) -> NDArray[np.uint8]:
         return self._renderer.draw(self._world.position[index], camera)

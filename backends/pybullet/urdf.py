@@ -2,8 +2,9 @@
 springs.
 
 URDF has no universal joint, so each is two hinges with a massless link (`cross_<j>`) between them.
-The text holds all that URDF can describe, joint limits and damping too; a simulation that computes
-those itself switches them off after loading.
+A third hinge, for torsion, has one more (`cross_<j>_1`) below it. The text holds all that URDF can
+describe, joint limits and damping too; a simulation that computes those itself switches them off
+after loading.
 """
 
 from __future__ import annotations
@@ -12,6 +13,7 @@ import xml.etree.ElementTree as ET
 from collections.abc import Mapping
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from cdcsr.robot.description import Robot
 from cdcsr.robot.routing import routing
@@ -31,30 +33,36 @@ of a slider away from its guide."""
 
 
 def joint_names(robot: Robot) -> list[str]:
-    """Names of the moving joints in the order of coordinates: sliders, then hinges root to tip, x
-    before y."""
+    """Names of the moving joints in the order of coordinates: sliders, then hinges root to tip."""
+    hinges = zip(robot.link_of_hinge, robot.hinges, strict=True)
     sliders = [f"slide_{c}" for c in range(robot.num_cables)]
-    return sliders + [f"hinge_{j}_{axis}" for j in range(robot.num_links) for axis in "xy"]
+    return sliders + [f"hinge_{j}_{hinge.axis}" for j, hinge in hinges]
 
 
 def slider_places(robot: Robot) -> np.ndarray:
     """Return where the sliders rest in the base's frame, shape (C, 3), in [m]."""
     route = routing(robot)
-    height = robot.top - route.guide_offset - route.slider_offset
+    height = robot.first_joint - route.guide_offset - route.slider_offset
     return np.column_stack([route.place, height])
 
 
-def urdf(robot: Robot, mesh_files: Mapping[str, str] | None = None) -> str:
+def urdf(robot: Robot, mesh_files: Mapping[str, str] | None = None, world: bool = False) -> str:
     """Return the robot as URDF text.
 
     Args:
         robot: the description.
         mesh_files: the visual mesh of a link by its name (``"base"``, ``"link_3"``, ...), in metres
             and in the link's frame; links without one look like boxes, cylinders and balls.
+        world: whether a fixed base hangs on a link `world`, which is how URDF fixes it. A free base
+            starts anywhere; URDF does not say where.
     """
     model = _Model(robot.name, mesh_files or {})
     base = robot.base
     model.link("base", base.mass, base.inertia, ("box", {"size": _text(*base.size)}), BASE_COLOR)
+    if world and base.mount == "fixed":
+        ET.SubElement(model.root, "link", name="world")
+        turn = Rotation.from_quat(base.quaternion, scalar_first=True).as_euler("xyz")
+        model.place("mount", "fixed", "world", "base", base.position, tuple(turn))
     for c, (servo, place) in enumerate(zip(robot.servos, slider_places(robot), strict=True)):
         name, moment = f"slider_{c}", 0.4 * servo.mass * servo.radius**2
         ball = ("sphere", {"radius": _text(servo.radius)})
@@ -63,20 +71,24 @@ def urdf(robot: Robot, mesh_files: Mapping[str, str] | None = None) -> str:
         model.joint(f"slide_{c}", joint, "base", name, tuple(place))
 
     segment_of = [s for s, segment in enumerate(robot.segments) for _ in range(segment.links)]
-    parent, height = "base", robot.top
-    for j, (part, hinge) in enumerate(robot.links):
-        cross, own = f"cross_{j}", f"link_{j}"
+    parent, height = "base", robot.first_joint
+    for j, (part, bends) in enumerate(robot.links):
         ball = ("sphere", {"radius": _text(1.15 * part.radius)})
-        model.link(cross, 0.0, (0.0, 0.0, 0.0), ball, CROSS_COLOR)
-        limits = -hinge.limit, hinge.limit
-        joint = ("revolute", "1 0 0", limits, hinge.damping)
-        model.joint(f"hinge_{j}_x", joint, parent, cross, (0, 0, height))
-        cylinder = ("cylinder", {"radius": _text(part.radius), "length": _text(part.length)})
-        color = SEGMENT_COLORS[segment_of[j] % len(SEGMENT_COLORS)]
-        model.link(own, part.mass, part.inertia, cylinder, color, part.length / 2)
-        joint = ("revolute", "0 1 0", limits, hinge.damping)
-        model.joint(f"hinge_{j}_y", joint, cross, own, (0, 0, 0))
-        parent, height = own, part.length
+        for k, hinge in enumerate(bends.hinges):
+            child = f"cross_{j}" + f"_{k}" * (k > 0)
+            if k < len(bends.hinges) - 1:
+                model.link(child, 0.0, (0.0, 0.0, 0.0), ball, CROSS_COLOR)
+            else:
+                child = f"link_{j}"
+                shape = {"radius": _text(part.radius), "length": _text(part.length)}
+                color = SEGMENT_COLORS[segment_of[j] % len(SEGMENT_COLORS)]
+                heights = part.center_of_mass, part.length / 2
+                model.link(child, part.mass, part.inertia, ("cylinder", shape), color, heights)
+            axis = " ".join(str(int(a == hinge.axis)) for a in "xyz")
+            joint = ("revolute", axis, (-hinge.limit, hinge.limit), hinge.damping)
+            model.joint(f"hinge_{j}_{hinge.axis}", joint, parent, child, (0, 0, height))
+            parent, height = child, 0.0
+        height = part.length
     ET.indent(model.root)  # Bullet's parser fails on very long lines
     return '<?xml version="1.0"?>\n' + ET.tostring(model.root, encoding="unicode") + "\n"
 
@@ -95,12 +107,12 @@ class _Model:
         inertia: tuple[float, float, float],
         shape: tuple[str, dict[str, str]],
         color: tuple[float, ...],
-        height: float = 0.0,
+        heights: tuple[float, float] = (0.0, 0.0),
     ) -> None:
-        """Add a link whose centre of mass and shape are at `height` above its frame."""
+        """Add a link whose centre of mass and shape are at `heights` above its frame."""
         element = ET.SubElement(self.root, "link", name=name)
         inertial = ET.SubElement(element, "inertial")
-        ET.SubElement(inertial, "origin", xyz=_text(0, 0, height), rpy="0 0 0")
+        ET.SubElement(inertial, "origin", xyz=_text(0, 0, heights[0]), rpy="0 0 0")
         ET.SubElement(inertial, "mass", value=_text(mass))
         ixx, iyy, izz = (_text(moment) for moment in inertia)
         ET.SubElement(inertial, "inertia", ixx=ixx, ixy="0", ixz="0", iyy=iyy, iyz="0", izz=izz)
@@ -110,10 +122,26 @@ class _Model:
             geometry = ET.SubElement(visual, "geometry")
             ET.SubElement(geometry, "mesh", filename=self._meshes[name], scale="1 1 1")
         else:
-            ET.SubElement(visual, "origin", xyz=_text(0, 0, height), rpy="0 0 0")
+            ET.SubElement(visual, "origin", xyz=_text(0, 0, heights[1]), rpy="0 0 0")
             ET.SubElement(ET.SubElement(visual, "geometry"), shape[0], shape[1])
         material = ET.SubElement(visual, "material", name=f"{name}_color")
         ET.SubElement(material, "color", rgba=_text(*color))
+
+    def place(
+        self,
+        name: str,
+        kind: str,
+        parent: str,
+        child: str,
+        place: tuple[float, ...],
+        turn: tuple[float, ...] = (0, 0, 0),
+    ) -> ET.Element:
+        """Add a joint at `place` in the parent's frame, turned by roll, pitch and yaw."""
+        element = ET.SubElement(self.root, "joint", name=name, type=kind)
+        ET.SubElement(element, "parent", link=parent)
+        ET.SubElement(element, "child", link=child)
+        ET.SubElement(element, "origin", xyz=_text(*place), rpy=_text(*turn))
+        return element
 
     def joint(
         self,
@@ -123,13 +151,9 @@ class _Model:
         child: str,
         place: tuple[float, ...],
     ) -> None:
-        """Add a joint at `place` in the parent's frame; `joint` is type, axis, limits and
-        damping."""
+        """Add a joint that moves; `joint` is type, axis, limits and damping."""
         kind, axis, (lower, upper), damping = joint
-        element = ET.SubElement(self.root, "joint", name=name, type=kind)
-        ET.SubElement(element, "parent", link=parent)
-        ET.SubElement(element, "child", link=child)
-        ET.SubElement(element, "origin", xyz=_text(*place), rpy="0 0 0")
+        element = self.place(name, kind, parent, child, place)
         ET.SubElement(element, "axis", xyz=axis)
         limits = {"lower": _text(lower), "upper": _text(upper)}
         limits |= {"effort": _text(UNLIMITED), "velocity": _text(UNLIMITED)}
@@ -139,7 +163,7 @@ class _Model:
 
 def cable_file(robot: Robot) -> dict[str, object]:
     """Return what URDF cannot describe: cables with their guides and servos, hinge springs, the
-    tip.
+    tip, gravity, and where the base starts.
 
     Links and joints have the URDF's names. The guides of a cable are in order from the base to its
     anchor, each with its place in its link's frame; lengths are in [m].
@@ -148,7 +172,7 @@ def cable_file(robot: Robot) -> dict[str, object]:
     cables = []
     for c, servo in enumerate(robot.servos):
         px, py, offset = (*map(float, route.place[c]), float(route.guide_offset[c]))
-        guides: list[tuple[str, list[float]]] = [("base", [px, py, robot.top - offset])]
+        guides: list[tuple[str, list[float]]] = [("base", [px, py, robot.first_joint - offset])]
         for j in range(route.joints[c]):
             guides += [
                 (f"link_{j}", [px, py, z]) for z in (offset, robot.links[j][0].length - offset)
@@ -163,13 +187,8 @@ def cable_file(robot: Robot) -> dict[str, object]:
             }
         )
     hinges = {
-        f"hinge_{j}_{axis}": {
-            "stiffness": hinge.stiffness,
-            "damping": hinge.damping,
-            "limit": hinge.limit,
-        }
-        for j, (_, hinge) in enumerate(robot.links)
-        for axis in "xy"
+        name: {"stiffness": hinge.stiffness, "damping": hinge.damping, "limit": hinge.limit}
+        for name, hinge in zip(names[robot.num_cables :], robot.hinges, strict=True)
     }
     last = robot.num_links - 1
     return {
@@ -177,6 +196,12 @@ def cable_file(robot: Robot) -> dict[str, object]:
         "fingerprint": robot.fingerprint,
         "time_step": robot.time_step,
         "recovery_time": robot.constraint.recovery_time,
+        "gravity": list(robot.gravity),
+        "base": {
+            "mount": robot.base.mount,
+            "position": list(robot.base.position),
+            "quaternion": list(robot.base.quaternion),
+        },
         "cables": cables,
         "hinges": hinges,
         "tip": {"link": f"link_{last}", "xyz": [0.0, 0.0, robot.links[last][0].length]},

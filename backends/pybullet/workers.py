@@ -27,10 +27,11 @@ from backends.pybullet.options import PybulletOptions
 from backends.pybullet.world import Divergence, World
 from cdcsr.errors import CdcsrError
 from cdcsr.robot.description import Robot
+from cdcsr.simulation.loads import Loads
 from cdcsr.simulation.plant import Plant
 
 Array = NDArray[np.float64]
-Method = Literal["set_plant", "reset", "place", "step"]
+Method = Literal["set_plant", "set_loads", "reset", "place", "step"]
 
 _START = (
     "import json, sys; sys.path[:] = json.loads(sys.argv[1]); "
@@ -72,6 +73,10 @@ class Pool:
                 for share, mine in zip(self._shares, self._inside(ids), strict=True)
             ],
         )
+
+    def set_loads(self, loads: Loads) -> None:
+        """Let loads act on all copies from the next step on."""
+        self._call("set_loads", [(loads.of_copies(share),) for share in self._shares])
 
     def reset(self, ids: Iterable[int]) -> None:
         """Put copies back to the start."""

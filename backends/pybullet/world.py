@@ -18,7 +18,9 @@ from backends.pybullet.options import PybulletOptions
 from cdcsr.compiled import compiled
 from cdcsr.robot.description import Robot
 from cdcsr.robot.stability import highest_speeds, too_fast
+from cdcsr.simulation.loads import Loads
 from cdcsr.simulation.plant import Parameters, Plant
+from cdcsr.simulation.rotations import rotation_matrix
 
 Array = NDArray[np.float64]
 
@@ -42,7 +44,7 @@ class World:
 
     Attributes:
         time: shape (num,), in [s].
-        position: as in a Snapshot, shape (num, 7 + C + 2 J).
+        position: as in a Snapshot, shape (num, 7 + C + H).
         velocity: shape (num, nv).
         tension: of the last step of Bullet, shape (num, C), in [N].
     """
@@ -60,6 +62,7 @@ class World:
         self._plant = Parameters().plant(robot, num)
         self._asked = self._equation.bodies(self._plant)
         self._rig, self._time_step = rig(robot), robot.time_step
+        self._loads = Loads(robot, num)
         self.time = np.zeros(num)
         self.position = np.zeros((num, 7 + robot.num_cables + robot.num_hinges))
         self.velocity = np.zeros((num, robot.num_coordinates))
@@ -69,6 +72,8 @@ class World:
         self._fastest = highest_speeds(robot)
         # A joint that Bullet clamps would be faster.
         np.minimum(self._fastest[6:], 0.999 * options.max_joint_speed, out=self._fastest[6:])
+        self._fixed = robot.base.mount == "fixed"
+        self._start = np.array([*robot.base.position, *robot.base.quaternion])
         self.reset(range(num))
 
     @property
@@ -84,13 +89,17 @@ class World:
             self._bodies[copy].set_plant(plant, row)
         self._asked = self._equation.bodies(self._plant)
 
+    def set_loads(self, loads: Loads) -> None:
+        """Let loads act on all copies from the next step on."""
+        self._loads = loads
+
     def reset(self, ids: Iterable[int]) -> None:
         """Put copies back to the start."""
         travel = self._plant.start_travel
         for copy in ids:
             self.time[copy] = 0.0
             self.position[copy] = 0.0
-            self.position[copy, 3] = 1.0
+            self.position[copy, :7] = self._start
             self.position[copy, 7 : 7 + travel.shape[1]] = travel[copy]
             self.velocity[copy] = 0.0
             self.tension[copy] = 0.0
@@ -107,6 +116,8 @@ class World:
         """Put copies `ids` into a state: rows of the attributes."""
         self.time[ids], self.tension[ids] = time, tension
         self.position[ids], self.velocity[ids] = position, velocity
+        if self._fixed:
+            self.position[ids, :7], self.velocity[ids, :6] = self._start, 0.0
         for copy in ids.tolist():
             self._write(copy)
 
@@ -157,14 +168,21 @@ class World:
     def _push(self, copy: int, command: Array) -> None:
         """Give Bullet the joint forces of a copy's next step."""
         body = self._bodies[copy]
-        mass, bias = self._equation.terms(self._asked[copy], body.angles, body.turning, body.rates)
+        place = self.position[copy]
+        mass, bias = self._equation.terms(
+            self._asked[copy], body.angles, body.turning, body.rates, place[3:7]
+        )
+        load = self._load(copy) if self._loads.active else None
+        if load is not None:
+            turn = rotation_matrix(place[3:7]).T
+            bias = bias - np.concatenate([turn @ load[3:6], turn @ load[:3], load[6:]])
         joint_forces(
             self._rig,
             self._plant,
             copy,
             mass,
             bias,
-            self.position[copy, 7:],
+            place[7:],
             self.velocity[copy, 6:],
             command,
             self._time_step / self._options.substeps,
@@ -174,9 +192,16 @@ class World:
         )
         if self._options.servo == "force":
             self._force[: len(self._servo)] += self._servo
-        else:
+        elif len(command):
             body.drive(command.tolist(), np.abs(self._servo).tolist())
+        if load is not None:
+            self._force += load[6:]
+            body.pull_base(place[:3].tolist(), load[:3].tolist(), load[3:6].tolist())
         body.push(self._force.tolist())
+
+    def _load(self, copy: int) -> Array:
+        """Return the generalized force of the loads on a copy, shape (nv,)."""
+        return self._loads.generalized(self.position[[copy]], np.array([copy]))[0]
 
     def _write(self, copy: int) -> None:
         """Give Bullet the position and velocity of a copy."""

@@ -205,23 +205,6 @@ class Robot(Part):
         return self.first_joint - self.top + sum(link.length for link, _ in self.links)
 
     @property
-    def beyond_first_version(self) -> str:
-        """Features of this robot that not every engine can simulate; empty if there are none."""
-        joints = {joint.order + "z" * (joint.torsion is not None) for _, joint in self.links}
-        base, origin = self.base, Base.model_fields
-        found = {
-            "a fixed base": base.mount == "fixed",
-            "a base that starts elsewhere": base.position != origin["position"].default
-            or base.quaternion != origin["quaternion"].default,
-            "gravity": any(self.gravity),
-            "joints of another kind than universal": joints != {"xy"},
-            "a backbone": any(segment.backbone is not None for segment in self.segments),
-            "a link's centre of mass": any(link.center is not None for link, _ in self.links),
-            "no cables": self.num_cables == 0,
-        }
-        return ", ".join(what for what, there in found.items() if there)
-
-    @property
     def total_mass(self) -> float:
         """In [kg]."""
         return (

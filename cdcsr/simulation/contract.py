@@ -77,11 +77,6 @@ class Simulation(ABC):
 
     def __init__(self, robot: Robot, num: int = 1, options: EngineOptions | None = None) -> None:
         check_copies(num, self.engine, self.copy_memory)
-        if "any_arm" not in self.capabilities and robot.beyond_first_version:
-            raise CdcsrError(
-                f"The engine {self.engine!r} cannot simulate {robot.name!r}: "
-                f"{robot.beyond_first_version}; choose an engine that can (mujoco)."
-            )
         self.robot, self.num = robot, num
         self.options = options or self.options_type()
         self.plant: Plant = Parameters().plant(robot, num)
@@ -139,10 +134,8 @@ class Simulation(ABC):
             slot: tells loads on one link apart; what is set again is the load of this slot.
 
         Raises:
-            CdcsrError: there is no such link, the engine cannot apply loads, or a vector is wrong.
+            CdcsrError: there is no such link, or a vector is wrong.
         """
-        if "any_arm" not in self.capabilities:
-            raise CdcsrError(f"The engine {self.engine!r} cannot apply loads.")
         self.loads.set(self._chosen(ids), link, force, torque, point, slot)
         self._set_loads()
 
@@ -280,7 +273,8 @@ class Simulation(ABC):
     def _set_plant(self, ids: NDArray[np.int64], plant: Plant) -> None:
         """Set the numbers of copies `ids` for the next step and for `dynamics`."""
 
-    def _set_loads(self) -> None:  # noqa: B027 - an engine without loads needs none
+    @abstractmethod
+    def _set_loads(self) -> None:
         """Take note that `loads` has changed; `_step` and `dynamics` must apply it."""
 
     @abstractmethod

@@ -7,11 +7,10 @@ from typing import Literal
 
 from pydantic import BaseModel, ConfigDict
 
-Capability = Literal["render", "bit_exact", "soft_cables", "any_arm"]
+Capability = Literal["render", "bit_exact", "soft_cables"]
 """An ability that only some engines have. render: it has its own camera. bit_exact: the same
 commands give the same bits, also after a snapshot. soft_cables: cables under tension are longer
-than at rest, by millimetres. any_arm: it takes every description, also with a fixed or turned base,
-gravity, torsion or no cables, and it takes loads."""
+than at rest, by millimetres."""
 
 
 class EngineOptions(BaseModel):

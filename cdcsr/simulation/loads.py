@@ -9,7 +9,9 @@ from numpy.typing import ArrayLike, NDArray
 
 from cdcsr.errors import CdcsrError
 from cdcsr.robot.description import Robot
+from cdcsr.robot.poses import arms
 from cdcsr.simulation.arguments import as_floats, check_count
+from cdcsr.simulation.rotations import rotation_matrix
 
 Array = NDArray[np.float64]
 
@@ -28,6 +30,7 @@ class Loads:
     """
 
     def __init__(self, robot: Robot, num: int) -> None:
+        self._robot = robot
         self.force, self.torque, self.point = np.zeros((3, num, robot.num_links, 1, 3))
         self.active = False
         self._centers = np.array([link.center_of_mass for link, _ in robot.links])
@@ -62,13 +65,44 @@ class Loads:
         self.point[ids, link, slot] = offset
         self.active = bool(self.force.any() or self.torque.any())
 
-    def of_copies(self, ids: NDArray[np.int64]) -> Loads:
+    def of_copies(self, ids: NDArray[np.int64] | slice) -> Loads:
         """Return the loads of some copies alone."""
         chosen = copy.copy(self)
         chosen.force, chosen.torque, chosen.point = (
             array[ids] for array in (self.force, self.torque, self.point)
         )
         return chosen
+
+    def generalized(self, position: Array, ids: NDArray[np.int64]) -> Array:
+        """Return the generalized force of the loads on copies `ids`.
+
+        A hinge with the axis a through p feels a . (T + (x - p) x F) of each force F at x and
+        torque T on the links beyond it; the base feels all forces, and their torques about its
+        centre.
+
+        Args:
+            position: as in a Snapshot, shape (n, 7 + C + H).
+            ids: n of the copies.
+
+        Returns:
+            In the contract's order of coordinates, shape (n, nv); zero for a fixed base.
+        """
+        robot = self._robot
+        where, base = arms(robot, position[:, 7 + robot.num_cables :]), position[:, :3]
+        turn = rotation_matrix(position[:, 3:7])
+        axis, joint = (np.einsum("nab,nkb->nka", turn, part) for part in (where.axis, where.joint))
+        turns = np.einsum("nab,njbc->njac", turn, where.turn)
+        force, torque = self.of_copies(ids).at_centers(turns)
+        torque += np.cross(joint[:, :-1] + self._centers[:, None] * turns[..., 2], force)
+        # Sums over the links from each one to the tip; torques are about the base's centre.
+        force, torque = (np.cumsum(part[:, ::-1], axis=1)[:, ::-1] for part in (force, torque))
+        result = np.zeros((len(base), robot.num_coordinates))
+        if robot.base.mount == "free":
+            result[:, :3], result[:, 3:6] = force[:, 0], torque[:, 0]
+        link = list(robot.link_of_hinge)
+        about = torque[:, link] - np.cross(joint[:, link], force[:, link])
+        result[:, 6 + robot.num_cables :] = np.einsum("nha,nha->nh", axis, about)
+        return result
 
     def at_centers(self, turn: Array) -> tuple[Array, Array]:
         """Return the forces and torques that act alike at the links' centres of mass.

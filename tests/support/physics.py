@@ -105,6 +105,19 @@ def described_bodies(robot: Robot) -> Iterator[tuple[str, float, Triple, Triple]
             number += 1
 
 
+def walk(robot: Robot, hinges: Array) -> list[tuple[Array, Rotation]]:
+    """Return the place of each link's joint in [m], and how the link is turned, in the base's frame
+    at hinge angles of shape (H,); walks out along the arm."""
+    found, left = [], list(hinges)
+    place, turn = np.array([0, 0, robot.first_joint]), Rotation.identity()
+    for link, joint in robot.links:
+        for hinge in joint.hinges:
+            turn = turn * Rotation.from_euler(hinge.axis, left.pop(0))
+        found.append((place, turn))
+        place = place + turn.apply([0, 0, link.length])
+    return found
+
+
 def straight(robot: Robot, num: int = 1, travel: float = 0.0) -> Snapshot:
     """Return robots at rest and straight, all sliders at one travel; positive: all cables are
     slack."""

@@ -6,6 +6,8 @@ many new ones.
 
 from __future__ import annotations
 
+from typing import Any
+
 from hypothesis import settings
 from hypothesis import strategies as st
 
@@ -31,6 +33,69 @@ def inertias(draw: st.DrawFn, scale: float) -> tuple[float, float, float]:
 def _apart(angles: list[float]) -> bool:
     """Tell whether cables in these directions, in degrees, are not all at one place."""
     return len({round(angle, 3) % 360 for angle in angles}) > 1
+
+
+@st.composite
+def _segments(draw: st.DrawFn, offset: float) -> dict[str, Any]:
+    """Draw a segment without cables, of links with room for guides at `offset` in [m]: joints of
+    all kinds, given in numbers or by a material."""
+    if draw(st.booleans()):
+        links = draw(st.integers(1, 6))
+        rod = {
+            "length": links * offset * draw(between(4.4, 8)),
+            "youngs_modulus": draw(between(1e6, 1e8)),
+            "poissons_ratio": draw(between(-0.5, 0.5)),
+            "density": draw(between(500, 5000)),
+            "radius": draw(between(0.02, 0.05)),
+            "inner_radius": draw(between(0, 0.015)),
+            "damping_time": draw(between(0.01, 0.1)),
+            "torsion": draw(st.booleans()),
+        }
+        return {"links": links, "backbone": rod}
+    length, mass = offset * draw(between(2.2, 5)), draw(between(0.1, 5))
+    links, joint = _numbers(draw, length, mass)
+    links["link"]["center"] = length * draw(between(0.01, 1))
+    joint["order"] = draw(st.sampled_from(["xy", "yx"]))
+    if draw(st.booleans()):
+        joint["torsion"] = {key: joint[key] for key in ("stiffness", "damping", "limit")}
+    return {**links, "joint": joint}
+
+
+@st.composite
+def arms(draw: st.DrawFn) -> Robot:
+    """Draw any arm: as :func:`robots`, and with a fixed or turned base, gravity, torsion, rods,
+    passive segments and links of which the centre of mass lies anywhere."""
+    usual = draw(robots()).model_dump()
+    base = usual["base"] | {
+        "mount": draw(st.sampled_from(["free", "fixed"])),
+        "position": tuple(draw(between(-1, 1)) for _ in "xyz"),
+        "quaternion": draw(st.sampled_from([(1.0, 0.0, 0.0, 0.0), (0.5, -0.5, 0.1, 0.7)])),
+    }
+    segments = usual["segments"][:2]
+    offset = max(segment["cables"]["guide_offset"] for segment in segments)
+    ours = [draw(_segments(offset)) for _ in segments]
+    for segment, own in zip(segments, ours, strict=True):
+        if draw(st.integers(0, 2)):
+            own |= {key: segment[key] for key in ("cables", "servo")}
+    tail = [draw(_segments(offset))] if draw(st.booleans()) else []
+    keys = {"gravity": tuple(draw(between(-10, 10)) for _ in "xyz"), "base": base}
+    return Robot.model_validate(usual | keys | {"segments": ours + tail})
+
+
+def _numbers(draw: st.DrawFn, length: float, mass: float) -> tuple[dict[str, Any], dict[str, Any]]:
+    """Draw links of a length and mass, and joints between them."""
+    joint = {
+        "stiffness": draw(between(0, 5)),
+        "damping": draw(between(0.05, 3)),
+        "limit": draw(between(0.5, 3)),
+    }
+    link = {
+        "length": length,
+        "radius": draw(between(0.005, 0.1)),
+        "mass": mass,
+        "inertia": draw(inertias(mass * length**2 / 5)),
+    }
+    return {"links": draw(st.integers(1, 6)), "link": link}, joint
 
 
 @st.composite
@@ -66,7 +131,7 @@ def robots(draw: st.DrawFn) -> Robot:
                 "joint": joint,
                 "cables": {
                     "angles_deg": angles,
-                    "pitch_radius": draw(between(0.01, 0.1)),
+                    "pitch_radius": draw(between(0.01, min(0.1, 2 * shortest))),
                     "guide_offset": offset,
                 },
                 "servo": {

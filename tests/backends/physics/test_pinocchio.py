@@ -15,6 +15,7 @@ from cdcsr.robot.description import Robot, load_robot
 from cdcsr.simulation.contract import Array, Dynamics, Snapshot
 from cdcsr.simulation.engines import load_backend
 from cdcsr.simulation.rotations import rotation_matrix
+from tests.support.physics import changed
 from tests.support.random_robots import KINDS
 
 pinocchio: Any = pytest.importorskip(
@@ -29,10 +30,10 @@ def load(robot: Robot, folder: Path) -> Any:
     model = pinocchio.buildModelFromUrdf(
         str(folder / f"{robot.name}.urdf"), pinocchio.JointModelFreeFlyer()
     )
-    model.gravity = pinocchio.Motion.Zero()
+    model.gravity = pinocchio.Motion(np.array(robot.gravity), np.zeros(3))
     last = robot.num_links - 1
     place = pinocchio.SE3(np.eye(3), np.array([0, 0, robot.links[-1][0].length]))
-    joint = model.getJointId(f"hinge_{last}_y")
+    joint = model.getJointId(f"hinge_{last}_{robot.hinges[-1].axis}")
     model.addFrame(pinocchio.Frame("tip", joint, place, pinocchio.FrameType.OP_FRAME))
     return model
 
@@ -43,7 +44,8 @@ def equation(
     """Return mass matrix, bias force and tip Jacobian at one state, in the contract's
     coordinates."""
     names = [f"slide_{c}" for c in range(robot.num_cables)]
-    names += [f"hinge_{j}_{axis}" for j in range(robot.num_links) for axis in "xy"]
+    hinges = zip(robot.link_of_hinge, robot.hinges, strict=True)
+    names += [f"hinge_{j}_{hinge.axis}" for j, hinge in hinges]
     order = [model.joints[model.getJointId(name)].idx_v for name in names]
     turn = rotation_matrix(position[3:7])
     # Pinocchio's velocity is [linear, angular] in the base's frame, then its own order of joints.
@@ -74,9 +76,22 @@ def evaluation(robot: Robot, backend: str, states: Snapshot) -> Dynamics:
     return found
 
 
-@pytest.mark.parametrize("name", KINDS)
-def test_both_engines_have_pinocchios_equation_of_motion(name: str, tmp_path: Path) -> None:
-    robot = load_robot(name)
+ROD = {
+    **{"length": 0.8, "youngs_modulus": 1e7, "poissons_ratio": 0.3, "density": 3000.0},
+    **{"radius": 0.02, "inner_radius": 0.015, "damping_time": 0.1},
+}
+ROBOTS = [load_robot(name) for name in KINDS]
+ROBOTS.append(
+    changed(
+        ROBOTS[0],
+        **{"name": "any-arm", "gravity": (0.0, 3.0, -9.0)},
+        segments=[*ROBOTS[0].model_dump()["segments"], {"links": 4, "backbone": ROD}],
+    )
+)
+
+
+@pytest.mark.parametrize("robot", ROBOTS, ids=lambda robot: robot.name)
+def test_both_engines_have_pinocchios_equation_of_motion(robot: Robot, tmp_path: Path) -> None:
     states = random_states(robot, 6, seed=3)
     model = load(robot, tmp_path)
     assert model.nv == robot.num_coordinates
@@ -93,3 +108,20 @@ def test_both_engines_have_pinocchios_equation_of_motion(name: str, tmp_path: Pa
             if not c.passed
         ]
         assert failed == []
+
+
+def test_a_fixed_base_hangs_where_the_description_says(tmp_path: Path) -> None:
+    """Pinocchio reads no free base from the file; base and tip are where the engines have them."""
+    base = {"mount": "fixed", "position": (1.0, 2.0, 3.0), "quaternion": (0.5, -0.5, 0.1, 0.7)}
+    robot = changed(ROBOTS[-1], base=ROBOTS[-1].model_dump()["base"] | base)
+    write_model(robot, tmp_path, ["pybullet"])
+    model = pinocchio.buildModelFromUrdf(str(tmp_path / "any-arm.urdf"))
+    assert model.nv == robot.num_coordinates - 6
+    data = model.createData()
+    pinocchio.framesForwardKinematics(model, data, pinocchio.neutral(model))
+    last = data.oMf[model.getFrameId(f"link_{robot.num_links - 1}")]
+    tip = last.act(np.array([0, 0, robot.links[-1][0].length]))
+    for engine in ("mujoco", "pybullet"):
+        simulation = load_backend(engine)(robot)
+        np.testing.assert_allclose(simulation.state().tip_position[0], tip, atol=1e-12)
+        simulation.close()

@@ -11,37 +11,30 @@ from backends.mujoco.simulation import MujocoSimulation
 from cdcsr.robot.description import Robot
 from cdcsr.robot.routing import cable_lengths, routing
 from cdcsr.simulation.contract import Array
-from tests.support.physics import moving, running
-from tests.support.random_robots import few, many, robots
+from cdcsr.simulation.plant import Parameters
+from tests.support.physics import changed, moving, running, walk
+from tests.support.random_robots import arms, few, many, robots
 
 
 def guide_by_guide(robot: Robot, travel: Array, hinges: Array) -> Array:
     """Length of every cable as the distances from point to point, shape (C,), in [m]; walks out
     along the arm."""
-    cosine, sine = np.cos(hinges), np.sin(hinges)
-    turns = np.stack([cosine[::2], sine[::2], cosine[1::2], sine[1::2]], axis=1)
-    crossed = [(link.length, *turn) for (link, _), turn in zip(robot.links, turns, strict=True)]
-    lengths, number, last = [], 0, 0
+    lengths, last = [], 0
+    walked = walk(robot, hinges)
     for segment in robot.segments:
-        cables, last = segment.cables, last + segment.links
-        for angle in np.deg2rad(cables.angles_deg):
+        last += segment.links
+        for angle in np.deg2rad(segment.cable_angles):
+            cables = segment.cables
             x, y = cables.pitch_radius * np.cos(angle), cables.pitch_radius * np.sin(angle)
-            first = robot.base.size[2] / 2 - cables.guide_offset
-            points = [
-                np.array([x, y, first - segment.servo.offset + travel[number]]),
-                np.array([x, y, first]),
-            ]
-            turned, place = np.eye(3), np.array([0, 0, robot.base.size[2] / 2])
-            for length, cx, sx, cy, sy in crossed[:last]:
-                about_x = np.array([[1, 0, 0], [0, cx, -sx], [0, sx, cx]])
-                turned = turned @ about_x @ np.array([[cy, 0, sy], [0, 1, 0], [-sy, 0, cy]])
+            first = robot.first_joint - cables.guide_offset
+            pulled = first - segment.servo.offset + travel[len(lengths)]
+            points = [np.array([x, y, pulled]), np.array([x, y, first])]
+            for (link, _), (place, turn) in zip(robot.links[:last], walked, strict=False):
                 points += [
-                    place + turned @ [x, y, z]
-                    for z in (cables.guide_offset, length - cables.guide_offset)
+                    place + turn.apply([x, y, z])
+                    for z in (cables.guide_offset, link.length - cables.guide_offset)
                 ]
-                place = place + turned @ [0, 0, length]
             lengths.append(np.linalg.norm(np.diff(points, axis=0), axis=1).sum())
-            number += 1
     return np.array(lengths)
 
 
@@ -68,9 +61,8 @@ def same_robot_in_every_engine(robot: Robot) -> None:
             np.testing.assert_allclose(summed, closed_form, rtol=0, atol=1e-9)
         for name in ("tip_jacobian", "cable_jacobian", "bias_force", "passive_force", "velocity"):
             found, expected = getattr(left, name), getattr(right, name)
-            np.testing.assert_allclose(
-                found, expected, rtol=0, atol=1e-10 * np.abs(expected).max(), err_msg=name
-            )
+            largest = np.abs(expected).max(initial=0.0)
+            np.testing.assert_allclose(found, expected, rtol=0, atol=1e-10 * largest, err_msg=name)
         for name in ("tip_position", "tip_velocity", "base_angular_velocity"):
             np.testing.assert_allclose(
                 *(getattr(state, name) for state in states), rtol=0, atol=1e-10, err_msg=name
@@ -78,7 +70,50 @@ def same_robot_in_every_engine(robot: Robot) -> None:
         for simulation in (one, other):
             simulation.reset()
             simulation.step(np.full((3, cables), -0.1), 20)  # it does not diverge
-            assert simulation.state().cable_tension.min() >= 0
+            assert simulation.state().cable_tension.min(initial=0.0) >= 0
+
+
+def one_step_obeys_the_equation(robot: Robot) -> None:
+    """A step h from any state under any loads, without dampers and with slack cables, changes the
+    velocity by h M^-1 (passive - bias), to the first order in h."""
+    quick = changed(robot, time_step=1e-6, constraint={"recovery_time": 1e-5})
+    start, cables, random = moving(quick, 2, bend=0.4), robot.num_cables, np.random.default_rng(1)
+    for engine in ("mujoco", "mujoco-stock", "pybullet"):
+        with running(quick, engine, 2) as simulation:
+            parameters = Parameters(joint_damping=0.0, slider_damping=0.0, rest_length_offset=1.0)
+            simulation.set_parameters(None, parameters)
+            for link in {0, robot.num_links - 1}:
+                vectors = random.uniform(-0.5, 0.5, (2, 2, 3))
+                simulation.set_loads(None, link, *vectors, point=(0.02, -0.03, 0.05))
+            simulation.set_snapshot(start)
+            equation, before = simulation.dynamics(), simulation.get_snapshot()
+            force = equation.passive_force - equation.bias_force
+            expected = np.linalg.solve(equation.mass_matrix, force[..., None])[..., 0]
+            simulation.step(start.position[:, 7 : 7 + cables])
+            found = (simulation.get_snapshot().velocity - before.velocity) / quick.time_step
+            assert simulation.state().cable_tension.max(initial=0.0) == 0
+        off = np.abs(found - expected) / np.abs(expected).max(axis=1, keepdims=True)
+        assert off.max() < 2e-3, engine
+
+
+@few
+@given(arms())
+def test_any_arm_is_the_same_in_every_engine(robot: Robot) -> None:
+    same_robot_in_every_engine(robot)
+
+
+@few
+@given(arms())
+def test_any_arm_obeys_its_equation_of_motion(robot: Robot) -> None:
+    one_step_obeys_the_equation(robot)
+
+
+@pytest.mark.slow
+@many
+@given(arms())
+def test_many_arms_are_the_same_in_every_engine_and_obey_their_equation(robot: Robot) -> None:
+    same_robot_in_every_engine(robot)
+    one_step_obeys_the_equation(robot)
 
 
 @few

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from scipy.optimize import bisect
+from scipy.spatial.transform import Rotation
 from scipy.special import ellipe, ellipeinc, ellipk, ellipkinc
 
 from backends.cosserat.equilibrium import equilibrium
@@ -12,7 +13,7 @@ from backends.parity.one_state import one_state
 from cdcsr.errors import CdcsrError
 from cdcsr.robot.description import Robot, load_robot
 from cdcsr.robot.poses import arms
-from cdcsr.simulation.engines import backend_names, load_backend, make_simulation
+from cdcsr.simulation.engines import load_backend, make_simulation
 from tests.support.physics import Make, changed, momentum
 from tests.support.rods import CABLES, rod_robot
 
@@ -27,11 +28,9 @@ TUBE = {
 }
 
 
-@pytest.fixture(
-    params=[name for name in backend_names() if "any_arm" in load_backend(name).capabilities]
-)
-def engine(request: pytest.FixtureRequest) -> str:
-    return request.param
+@pytest.fixture
+def engine(undamped_engine: str) -> str:
+    return undamped_engine
 
 
 def tip_of(robot: Robot, engine: str, make: Make, **load: object) -> np.ndarray:
@@ -62,7 +61,7 @@ def elastica(force: float) -> tuple[float, float]:
     return across, np.sqrt(2 * STIFFNESS * np.sin(slope) / force)
 
 
-@pytest.mark.parametrize("links", [10, 11])
+@pytest.mark.parametrize("links", [9, 10])
 def test_a_rod_under_a_tip_force_is_the_elastica_to_second_order(
     links: int, engine: str, make: Make
 ) -> None:
@@ -98,7 +97,7 @@ def test_a_cable_bends_a_rod_into_the_constant_curvature_arc(engine: str, make: 
     if "soft_cables" in load_backend(engine).capabilities:
         pytest.skip("a soft cable gives way by more than this pull")
     off = []
-    for links in (6, 12, 24):
+    for links in (4, 8, 16):
         cables = CABLES["cables"] | {"guide_offset": 0.02 * LENGTH / links}
         robot = rod_robot(links, TUBE, parts=CABLES | {"cables": cables}, time_step=0.0005)
         simulation = make(engine, robot)
@@ -112,7 +111,7 @@ def test_a_cable_bends_a_rod_into_the_constant_curvature_arc(engine: str, make: 
         arc = np.array([1 - np.cos(bend), 0, np.sin(bend)]) * LENGTH / bend
         off.append(np.linalg.norm(state.tip_position[0] - (0, 0, robot.top) - arc))
     assert bend > 0.6
-    assert off[-1] < 3e-4
+    assert off[-1] < 7e-4
     assert np.abs(np.log2(np.array(off[:-1]) / off[1:]) - 2).max() < 0.2
 
 
@@ -141,10 +140,15 @@ def test_a_turned_base_carries_the_whole_arm(engine: str, make: Make) -> None:
         np.testing.assert_allclose(simulation.state().tip_position[0], (1 + z, 2 + y, 3 - x))
 
 
-def test_a_load_gives_a_floating_robot_its_momentum(engine: str, make: Make) -> None:
+@pytest.mark.parametrize("turn", [(1.0, 0.0, 0.0, 0.0), (0.5, 0.5, -0.5, 0.5)])
+def test_a_load_gives_a_floating_robot_its_momentum(
+    turn: tuple[float, float, float, float], engine: str, make: Make
+) -> None:
     """Momentum is force times time, to the first order in the step; the torque about the start
     includes the lever."""
-    simulation = make(engine, load_robot("planar-single"), 2)
+    upright = load_robot("planar-single")
+    base = upright.model_dump()["base"] | {"quaternion": turn}
+    simulation = make(engine, changed(upright, base=base), 2)
     force, point = np.array([0.3, -0.2, 0.1]), np.array([0.05, 0.0, 0.15])
     simulation.set_loads([1], 2, force, point=point)
     simulation.set_loads([1], 2, torque=(0.0, 0.0, 0.02), slot=1)
@@ -157,7 +161,8 @@ def test_a_load_gives_a_floating_robot_its_momentum(engine: str, make: Make) -> 
     seconds = steps * simulation.robot.time_step
     linear, angular, _ = momentum(simulation)
     np.testing.assert_allclose(linear, [np.zeros(3), force * seconds], rtol=1e-3, atol=1e-12)
-    lever = np.array([point[0], 0, where]) - start
+    at_once = Rotation.from_quat(turn, scalar_first=True).apply([point[0], 0, where])
+    lever = at_once - start
     expected = (np.cross(lever, force) + np.array([0, 0, 0.02])) * seconds
     np.testing.assert_allclose(angular[1], expected, rtol=2e-3)
     simulation.set_loads([1], 2)

@@ -7,14 +7,25 @@ arm settles soon.
 
 from __future__ import annotations
 
+from functools import cache
+from itertools import pairwise
+
 import numpy as np
 import pytest
-from scipy.optimize import least_squares
+from scipy.optimize import least_squares, minimize
 from scipy.spatial.transform import Rotation
 
 from cdcsr.robot.description import Robot, load_robot
 from cdcsr.simulation.contract import Array, State
-from tests.support.physics import STRETCH, changed, running, slack, stretch, with_parts
+from tests.support.physics import (
+    STRETCH,
+    changed,
+    running,
+    slack,
+    stretch,
+    walk,
+    with_parts,
+)
 
 
 def swing(robot: Robot) -> float:
@@ -64,14 +75,15 @@ def taken_in(robot: Robot, hinges: Array) -> Array:
     This adds up the distances between the guides on both sides of each joint; the rest of a cable
     does not change its length.
     """
-    turns = Rotation.from_rotvec(np.outer(hinges[::2], [1, 0, 0])) * Rotation.from_rotvec(
-        np.outer(hinges[1::2], [0, 1, 0])
+    walked = [turn for _, turn in walk(robot, hinges)]
+    turns = Rotation.concatenate(
+        [low.inv() * high for low, high in pairwise([Rotation.identity(), *walked])]
     )
     shortened, joints = [], 0
     for segment in robot.segments:
         joints += segment.links
-        cables = segment.cables
-        for angle in np.deg2rad(cables.angles_deg):
+        for angle in np.deg2rad(segment.cable_angles):
+            cables = segment.cables
             x, y = cables.pitch_radius * np.cos(angle), cables.pitch_radius * np.sin(angle)
             above = turns[:joints].apply([x, y, cables.guide_offset])
             below = np.array([x, y, -cables.guide_offset])
@@ -121,6 +133,70 @@ def check_rest(robot: Robot, engine: str, num: int, seed: int) -> None:
         np.testing.assert_allclose(
             state.cable_tension[copy], gain * (travel - pulls), atol=2e-3 + gain.max() * longer
         )
+
+
+def hanging_arm() -> Robot:
+    """Return an arm with a turned, fixed base under gravity: joints with torsion, of either order,
+    three cables, and a passive rod at the end."""
+    data = load_robot("planar-single").model_dump()
+    twist = {"stiffness": 2.0, "damping": 1.0, "limit": 1.5}
+    segment = {
+        "links": 3,
+        "link": {
+            **{"length": 0.1, "radius": 0.02, "mass": 0.2, "center": 0.08},
+            "inertia": (2e-3, 2e-3, 1e-3),
+        },
+        "joint": {"stiffness": 3.0, "damping": 1.5, "limit": 1.5, "order": "yx", "torsion": twist},
+        "cables": {"angles_deg": (10, 130, 250), "pitch_radius": 0.03, "guide_offset": 0.01},
+        "servo": data["segments"][0]["servo"] | {"gain": 400.0, "mass": 0.2},
+    }
+    rod = {
+        **{"length": 0.3, "youngs_modulus": 5e7, "poissons_ratio": 0.3, "density": 4000.0},
+        **{"radius": 0.01, "damping_time": 0.3},
+    }
+    base = {"mount": "fixed", "position": (1.0, 2.0, 3.0), "quaternion": (0.5, 0.5, -0.5, 0.5)}
+    return changed(
+        load_robot("planar-single"),
+        base=data["base"] | base,
+        gravity=(1.0, -2.0, -9.0),
+        segments=[segment, {"links": 3, "backbone": rod}],
+        time_step=1e-3,
+    )
+
+
+@cache
+def hanging_angles(command: tuple[float, ...]) -> Array:
+    """Return the hinge angles at which that arm has the least potential energy, in [rad].
+
+    The energy is that of springs and servos, and the height of every link's centre of mass times
+    its weight; sliders weigh along their cables too.
+    """
+    robot = hanging_arm()
+    fall = Rotation.from_quat(robot.base.quaternion, scalar_first=True).inv().apply(robot.gravity)
+    stiffness = np.array([hinge.stiffness for hinge in robot.hinges])
+    servo = robot.segments[0].servo
+    sag = servo.mass * fall[2] / servo.gain
+
+    def energy(hinges: Array) -> float:
+        low = np.maximum(taken_in(robot, hinges) - command - sag, 0)
+        total = 0.5 * stiffness @ hinges**2 + 0.5 * servo.gain * low @ low
+        for (link, _), (place, turn) in zip(robot.links, walk(robot, hinges), strict=True):
+            total -= link.mass * fall @ (place + turn.apply([0, 0, link.center_of_mass]))
+        return float(total)
+
+    return minimize(energy, np.zeros(robot.num_hinges), method="BFGS", options={"gtol": 1e-9}).x
+
+
+def test_a_hanging_arm_has_the_least_potential_energy(stiff_engine: str) -> None:
+    robot, command = hanging_arm(), (-0.05, -0.05, -0.06)
+    expected = hanging_angles(command)
+    with running(robot, stiff_engine) as simulation:
+        simulation.step(np.array([command]), 5000)
+        state = simulation.state()
+    assert np.abs(state.joint_rates).max() < 1e-4
+    assert np.abs(expected).max() > 0.1
+    assert (state.cable_tension[0] > 1).all()
+    np.testing.assert_allclose(state.joint_angles[0], expected, atol=2e-5)
 
 
 @pytest.mark.parametrize("name", ["planar-single", "paper"])

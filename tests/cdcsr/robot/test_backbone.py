@@ -5,7 +5,6 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from backends.mujoco.simulation import MujocoSimulation
 from cdcsr.errors import CdcsrError
 from cdcsr.robot.description import Robot, load_robot, parse_robot
 from tests.support.rods import rod_robot
@@ -125,15 +124,3 @@ def test_a_segment_has_either_links_or_a_backbone() -> None:
     del data["segments"][0]["backbone"], data["segments"][0]["servo"]
     with pytest.raises(ValueError, match="needs cables and servo, or neither"):
         Robot.model_validate(data)
-
-
-def test_an_engine_that_knows_only_the_first_version_refuses_the_rest() -> None:
-    class Old(MujocoSimulation):
-        engine, capabilities = "old", frozenset()
-
-    with pytest.raises(CdcsrError, match="'old' cannot simulate 'rod': a fixed base, gravity, "):
-        Old(rod_robot(3, STEEL, gravity=(0.0, 0.0, -9.81)))
-    simulation = Old(load_robot("planar-single"))
-    with pytest.raises(CdcsrError, match="'old' cannot apply loads"):
-        simulation.set_loads(None, 0, force=(1, 0, 0))
-    simulation.close()
