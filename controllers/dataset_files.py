@@ -37,14 +37,18 @@ def dataset_id(folder: Path) -> str:
     name = plain if re.search(r"[-_A-Za-z0-9]-v\d+$", plain) else f"{plain}-v0"
     usual = Path.home() / ".minari" / "datasets" if "HOME" in os.environ else None
     root = os.environ.get("MINARI_DATASETS_PATH", usual)
-    if root is None or not folder.resolve().is_relative_to(Path(root).resolve()):
+    if root is None:
+        return name
+    # `Path.resolve` fails at links that run in a circle, of which others tell the user.
+    place, above = (Path(os.path.realpath(path)) for path in (folder, root))
+    if not place.is_relative_to(above):
         return name
     if name != folder.name:
         raise CdcsrError(
             f"Minari reads every folder in {root} and fails at the name {folder.name!r}; give "
             f"--out {folder.with_name(name)}, or another place."
         )
-    return folder.resolve().relative_to(Path(root).resolve()).as_posix()
+    return place.relative_to(above).as_posix()
 
 
 def seal_dataset(folder: Path) -> None:

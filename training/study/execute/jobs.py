@@ -101,7 +101,7 @@ class Job:
 
     def command(self, runs: Path, results: Path) -> list[str]:
         """Return the command line of a process that does it; it ends with its standard input."""
-        folders = ["--runs", str(runs.resolve()), "--results", str(results.resolve())]
+        folders = ["--runs", os.path.realpath(runs), "--results", os.path.realpath(results)]
         return [
             sys.executable,
             "-m",
