@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+import trimesh
 
 from cdcsr.errors import CdcsrError
 from cdcsr.robot.description import Robot, load_robot, parse_robot
+from cdcsr.robot.parts import Backbone
 from tests.support.rods import rod_robot
 
 STEEL = {
@@ -60,6 +62,24 @@ def test_all_pieces_together_have_the_mass_and_the_inertia_of_the_rod() -> None:
     assert mass == pytest.approx(whole)
     assert across == pytest.approx(whole * (0.6**2 / 3 + squares / 4))
     assert along == pytest.approx(whole * squares / 2)
+
+
+def test_a_piece_that_is_as_wide_as_long_has_the_inertia_of_its_shape() -> None:
+    """Against the integral over a mesh of 2,000 corners around."""
+    tube = Backbone(
+        length=1.0,
+        youngs_modulus=1e9,
+        poissons_ratio=0.3,
+        density=1000.0,
+        radius=0.1,
+        inner_radius=0.06,
+        damping_time=0.0,
+    )
+    piece = tube.piece(0.2)
+    mesh = trimesh.creation.annulus(0.06, 0.1, 0.2, sections=2_000)
+    mesh.density = 1000.0
+    assert piece.mass == pytest.approx(mesh.mass, rel=1e-4)
+    assert piece.inertia == pytest.approx(mesh.moment_inertia.diagonal(), rel=1e-4)
 
 
 def test_where_two_segments_meet_two_half_cells_are_one_link() -> None:
