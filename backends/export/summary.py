@@ -9,9 +9,9 @@ from typing import TypedDict
 import numpy as np
 
 from backends.parity.open_loop import accurate_step
-from backends.parity.report import ACCURATE
 from cdcsr.robot.description import Robot
 from cdcsr.robot.routing import routing
+from cdcsr.robot.ruler import ruler
 from cdcsr.robot.stability import stable_step
 from cdcsr.simulation.contract import Array
 from cdcsr.simulation.engines import engine_factory, make_simulation
@@ -49,22 +49,29 @@ class Summary(TypedDict):
     """[kg]"""
     center_of_mass: list[float]
     """The centre of mass of the straight robot at the start, three numbers in [m], world frame."""
+    tip: list[float]
+    """Where the straight arm's tip is at the start, three numbers in [m], world frame."""
+    reach: float
+    """From the first joint to the tip of the straight arm, in [m]."""
     cables: list[Cable]
     backends: list[str]
     time_step: float
     """[s]"""
     stable_step: float
     """The largest time step in [s] below which no spring shakes."""
+    accuracy: float
+    """A tenth of the tasks' threshold, in [m]."""
     accurate_step: dict[str, float | None]
-    """By engine, the time step in [s] at which the tip's mean error is a tenth of the tasks'
-    threshold; None if the engine diverges at `time_step`."""
+    """By engine, the time step in [s] at which the tip's mean error is `accuracy`; None if the
+    engine diverges at `time_step`."""
     mass_matrix_difference: dict[str, MassDifference]
     """Every engine but the first, compared with the first."""
 
 
 def summarize(robot: Robot, backends: Sequence[str]) -> Summary:
     """Summarize a robot, and compare its mass matrix in some engines."""
-    route = routing(robot)
+    accuracy = ruler(robot).threshold / 10
+    route, top = routing(robot), robot.top + robot.arm_length
     segments = [s for s, segment in enumerate(robot.segments) for _ in segment.cable_angles]
     return {
         "robot": robot.name,
@@ -73,6 +80,8 @@ def summarize(robot: Robot, backends: Sequence[str]) -> Summary:
         "degrees_of_freedom": robot.num_coordinates - 6 * (robot.base.mount == "fixed"),
         "total_mass": robot.total_mass,
         "center_of_mass": (at_start(robot, _center_of_mass(robot)).round(12) + 0.0).tolist(),
+        "tip": (at_start(robot, np.array([0, 0, top])).round(12) + 0.0).tolist(),
+        "reach": top - robot.first_joint,
         "cables": [
             {"name": f"cable_{c}", "segment": s, "rest_length": float(route.rest_length[c])}
             for c, s in enumerate(segments)
@@ -80,8 +89,9 @@ def summarize(robot: Robot, backends: Sequence[str]) -> Summary:
         "backends": list(backends),
         "time_step": robot.time_step,
         "stable_step": stable_step(robot),
+        "accuracy": accuracy,
         "accurate_step": {
-            name: accurate_step(robot, engine_factory(name), ACCURATE) for name in backends
+            name: accurate_step(robot, engine_factory(name), accuracy) for name in backends
         },
         "mass_matrix_difference": _mass_matrix_differences(robot, backends),
     }
@@ -91,12 +101,14 @@ def show(summary: Summary) -> str:
     """Return a summary as text to read."""
     cables = summary["cables"]
     x, y, z = summary["center_of_mass"]
+    tip = ", ".join(f"{place:.6g}" for place in summary["tip"])
     lines = [
         f"robot               {summary['robot']} ({summary['fingerprint']})",
         f"bodies              {summary['bodies']}",
         f"degrees of freedom  {summary['degrees_of_freedom']}",
         f"total mass          {summary['total_mass']:.6g} kg",
         f"centre of mass      ({x:.6g}, {y:.6g}, {z:.6g}) m, straight",
+        f"tip                 ({tip}) m, straight; {summary['reach']:.6g} m from the first joint",
         f"cables              {len(cables)}, rest lengths in m:",
     ]
     for s in sorted({cable["segment"] for cable in cables}):
@@ -108,9 +120,8 @@ def show(summary: Summary) -> str:
     )
     for backend, step in summary["accurate_step"].items():
         said = f"{step:.2g} s" if step else "the robot's own step, at which it diverges"
-        lines.append(
-            f"                    {backend} has a mean error of {1e3 * ACCURATE:g} mm at {said}"
-        )
+        error = 1e3 * summary["accuracy"]
+        lines.append(f"                    {backend} has a mean error of {error:g} mm at {said}")
     first = summary["backends"][0]
     for backend, difference in summary["mass_matrix_difference"].items():
         lines.append(

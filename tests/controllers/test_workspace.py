@@ -13,6 +13,7 @@ from cdcsr.errors import CdcsrError
 from cdcsr.robot.description import load_robot
 from cdcsr.simulation.engines import backend_names
 from cdcsr.tasks.spaces import make_space
+from controllers import workspace as mapping
 from controllers.jacobian import JacobianController
 from controllers.rollout import rollout
 from training.commands.workspace import workspace
@@ -53,6 +54,44 @@ def test_what_is_in_a_map_is_reached(folder: Path, backend: str, space: str) -> 
     observation, _ = env.reset(seed=3)
     assert rollout(JacobianController(env.robot), env, observation).success.sum() >= 11
     env.close()
+
+
+def test_an_interrupted_map_goes_on_to_the_same_bits(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    robot, batches = load_robot("planar-single"), 0
+    monkeypatch.setattr(mapping, "BATCH", 16)
+
+    def stop(*_: int) -> None:
+        nonlocal batches
+        batches += 1
+        if batches == 2:
+            raise KeyboardInterrupt
+
+    record = tmp_path / "map.part"
+    arguments = (robot, "mujoco", 0.2, 10)
+    whole = mapping.compute_workspace(*arguments)
+    with pytest.raises(KeyboardInterrupt):
+        mapping.compute_workspace(*arguments, stop, record)
+    with pytest.raises(CdcsrError, match="of a map with other options, which was interrupted"):
+        mapping.compute_workspace(robot, "mujoco", 0.25, 10, record=record)
+    again = mapping.compute_workspace(*arguments, stop, record)
+    assert batches > 3
+    whole.save(tmp_path / "whole.npz")
+    again.save(tmp_path / "again.npz")
+    assert (tmp_path / "whole.npz").read_bytes() == (tmp_path / "again.npz").read_bytes()
+    record.write_text('{"same": 1}')
+    with pytest.raises(CdcsrError, match="is damaged"):
+        mapping.compute_workspace(*arguments, record=record)
+
+
+def test_a_map_begins_at_the_tip() -> None:
+    """An Anchor Space that nothing reaches does not matter."""
+    robot = load_robot("planar-single")
+    beyond = robot.workspace.model_copy(update={"center": (0.1, 0.0, 3.25)})
+    robot = robot.model_copy(update={"workspace": beyond})
+    found = mapping.compute_workspace(robot, "mujoco", 0.2, 10)
+    assert np.abs(found.centers - [0, 0, 1.5]).max(axis=1).min() <= 0.2
 
 
 def test_mistakes_are_told(tmp_path: Path) -> None:

@@ -25,7 +25,9 @@ def workspace(
 ) -> None:
     """Map the points around the arm that the scripted demonstrator reaches in an episode.
 
-    The map is an operation space: give its file as --space to other commands.
+    The map is an operation space: give its file as --space to other commands. While it is made, its
+    record lies beside it, and the same command goes on from there after a break. The total that is
+    shown grows as neighbours of reached targets are found.
 
     Args:
         robot: a shipped robot's name, or a path ending in .toml.
@@ -60,18 +62,22 @@ def workspace(
     frame_skip = 5 * ruler(description).frame_skip if frame_skip is None else frame_skip
     reach = 2 * (description.top + description.arm_length)
     check_number("spacing", spacing, reach / _MOST_POINTS, reach)
+    record = out.with_name(out.name + ".part")
+    if record.exists():
+        print(f"going on from {record}", flush=True)
     counts = {"tried": 0, "reached": 0, "diverged": 0}
     start, end = ("\r", "") if sys.stdout.isatty() else ("", "\n")
 
-    def progress(tried: int, reached: int, diverged: int) -> None:
+    def progress(tried: int, found: int, reached: int, diverged: int) -> None:
         counts.update(tried=tried, reached=reached, diverged=diverged)
-        print(f"{start}{tried} targets tried, {reached} reached", end=end, flush=True)
+        print(f"{start}{tried} of {found} targets tried, {reached} reached", end=end, flush=True)
 
-    found = compute_workspace(description, backend, spacing, frame_skip, progress)
+    found = compute_workspace(description, backend, spacing, frame_skip, progress, record)
     print(end="" if end else "\n")
     if counts["diverged"]:
         print(f"{counts['diverged']} episodes diverged; their targets count as not reached")
     found.save(out)
+    record.unlink(missing_ok=True)
     print(f"{len(found.cells)} cells of edge {spacing:g} m around {description.name} -> {out}")
     if plot is not None:
         draw_workspace(found, description, plot)

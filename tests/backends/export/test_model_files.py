@@ -95,6 +95,9 @@ def check_bodies(found: JsonObject, robot: Robot, summary: JsonObject) -> None:
     expected = [mass for _, mass, _, _ in described_bodies(robot)]
     np.testing.assert_allclose(sorted(found["masses"]), sorted(expected), rtol=1e-12)
     np.testing.assert_allclose(found["center"], summary["center_of_mass"], atol=1e-9)
+    links = sum(segment.links * segment.link.length for segment in robot.segments)
+    assert summary["reach"] == pytest.approx(links)
+    assert summary["tip"] == pytest.approx([0, 0, 0.3 + links])  # bases are 0.6 m high
     assert found["dof"] == robot.num_coordinates == summary["degrees_of_freedom"]
 
 
