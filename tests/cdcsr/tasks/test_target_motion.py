@@ -154,3 +154,20 @@ def test_wandering_is_uniform_in_size_and_direction_of_acceleration(which: int) 
     drawn = memory[:, 4:].reshape(NUM, Wander.draws, 3)[:, which]
     assert is_isotropic(drawn)
     assert is_uniform(np.linalg.norm(drawn, axis=1), 0, Wander.acceleration)
+
+
+@pytest.mark.parametrize("name", sorted(MOTIONS))
+def test_a_scaled_motion_is_the_same_one_in_other_units(name: str) -> None:
+    """In time that runs 3 times as slowly every way is half as long, and every speed a sixth."""
+    paths = []
+    for motion, size, pace in (
+        (MOTIONS[name], 1.0, 1.0),
+        (MOTIONS[name].scaled(0.5, 3.0), 0.5, 3.0),
+    ):
+        position = np.zeros((6, 3))
+        velocity, memory = motion.begin(np.random.default_rng(4), position)
+        for _ in range(60):
+            motion.advance(position, velocity, memory, 0.025 * pace)
+        paths.append((position / size, velocity * pace / size))
+    for one, other in zip(*paths, strict=True):
+        np.testing.assert_allclose(one, other, rtol=1e-9, atol=1e-12)
