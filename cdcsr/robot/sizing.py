@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 
+from cdcsr.errors import CdcsrError
 from cdcsr.robot.description import parse_robot
 from cdcsr.robot.ruler import rounded
 from cdcsr.robot.stability import stable_step
-from cdcsr.simulation.arguments import check_count, check_number
 
 _ARM, _PAPER_STEP, _BASE_DENSITY, _FALL = 2.4, 0.0025, 500 / 0.6**3, 9.81
 """Arm length and time step of the paper's robot in [m] and [s], density of its base in [kg/m^3],
@@ -47,15 +47,16 @@ class NewRobot:
     """The edges of the Anchor Space, as a multiple of those in proportion."""
 
     def __post_init__(self) -> None:
-        check_number("length", self.length, 0.05, 100.0)
-        for name, found, most in (
-            ("segments", self.segments, 16),
-            ("links", self.links, 100),
-        ):
-            check_count(name, found, most)
-        check_count("cables", self.cables, 12, least=3)
-        if self.base_mass is not None:
-            check_number("base_mass", self.base_mass, 1e-6, 1e8)
+        bounds: tuple[tuple[str, float | None, float, float], ...] = (
+            ("length", self.length, 0.05, 100.0),
+            ("segments", self.segments, 1, 16),
+            ("cables", self.cables, 3, 12),
+            ("links", self.links, 1, 100),
+            ("base_mass", self.base_mass, 1e-6, 1e8),
+        )
+        for name, found, least, most in bounds:
+            if found is not None and not least <= found <= most:
+                raise CdcsrError(f"{name} must lie between {least:g} and {most:g}, not {found:g}.")
 
     @property
     def size(self) -> float:
