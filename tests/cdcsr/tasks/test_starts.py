@@ -17,6 +17,7 @@ from cdcsr.simulation.contract import Array
 from cdcsr.simulation.engines import backend_names, make_simulation
 from cdcsr.simulation.randomization import Randomization
 from cdcsr.tasks import starts
+from cdcsr.tasks.catalogue import make_task
 from cdcsr.tasks.observation import TARGET
 from cdcsr.tasks.starts import RATE, SPEED, Starts, bank
 from tests.support.physics import commands_of, momentum, slack
@@ -183,3 +184,21 @@ def test_impossible_starts_are_errors() -> None:
         Starts("anywere", SMALL)
     with pytest.raises(CdcsrError, match=r"the base drifts by itself.*choose start 'still'"):
         environment(1, SMALL, "moving", task="quiet")
+
+
+@pytest.mark.parametrize(
+    ("base", "start", "task", "message"),
+    [
+        ({"mount": "fixed"}, "moving", "reach", "and that of 'paper' is fixed; choose start"),
+        ({"position": (0.0, 0.0, 1.0)}, "anywhere", "reach", "start 'anywhere' is for a base that"),
+        ({"quaternion": (0.0, 1.0, 0.0, 0.0)}, "still", "quiet", "task 'quiet' is for a base that"),
+    ],
+)
+def test_starts_that_a_base_cannot_have(
+    base: dict[str, object], start: str, task: str, message: str
+) -> None:
+    paper = load_robot("paper")
+    robot = paper.model_copy(update={"base": paper.base.model_copy(update=base)})
+    Starts("still", robot).check(make_task("reach"))
+    with pytest.raises(CdcsrError, match=message):
+        Starts(start, robot).check(make_task(task))
