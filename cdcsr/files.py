@@ -12,7 +12,7 @@ import os
 import stat
 import sys
 from collections.abc import Iterator, Mapping
-from contextlib import contextmanager, suppress
+from contextlib import ExitStack, contextmanager, suppress
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -47,6 +47,21 @@ def write_bytes(path: Path, data: bytes) -> None:
         raise cannot_write(path, error) from None
     with replacing(path) as temporary:
         temporary.write_bytes(data)
+
+
+def write_together(files: Mapping[Path, bytes]) -> None:
+    """Write files that belong together: all of them, or none if one cannot be written.
+
+    Raises:
+        CdcsrError: a file cannot be written.
+    """
+    with ExitStack() as renamed:  # all of them at the end, when nothing is left to be written
+        for path, data in files.items():
+            temporary = renamed.enter_context(replacing(path))
+            try:
+                temporary.write_bytes(data)
+            except OSError as error:
+                raise cannot_write(path, error) from None
 
 
 @contextmanager

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
+from hashlib import sha256
 from pathlib import Path
 from types import ModuleType
 from typing import TYPE_CHECKING
@@ -11,35 +12,34 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cdcsr.errors import CdcsrError
-from cdcsr.files import write_bytes
+from cdcsr.reading import MOST_TABLE, read_bytes, read_text
 
 if TYPE_CHECKING:
     import pyarrow as pa
 
 Columns = dict[str, NDArray[np.generic]]
 """A table: columns of equal length by their names."""
+_MOST_CELLS = 200_000_000
+SUMS = "SHA256SUMS"
+"""This file has a checksum of each other file of a store; `sha256sum -c SHA256SUMS` reads it."""
 
 DECIMALS = 5
 """Distances, in [m], and angles, in [rad], are rounded to this many decimals."""
 _ROUNDED = ("distance", "tip_error", "base_position_error", "base_attitude_error")
 
 
-def write_table(
-    path: Path, parts: Iterable[Mapping[str, Sequence[object] | NDArray[np.generic]]]
-) -> None:
-    """Write the rows of several tables with the same columns as one Parquet file.
+def table_bytes(
+    parts: Iterable[Mapping[str, Sequence[object] | NDArray[np.generic]]],
+) -> bytes | None:
+    """Return the rows of several tables with the same columns as one Parquet file.
 
-    Texts and levels get dictionaries, numbers the smallest fitting types.
-
-    Raises:
-        CdcsrError: the file cannot be written.
+    Texts and levels get dictionaries, numbers the smallest fitting types. No tables make no file.
     """
     import pyarrow as pa
 
     parts = list(parts)
     if not parts:
-        path.unlink(missing_ok=True)
-        return
+        return None
     columns = {
         name: np.concatenate([np.asarray(part[name]) for part in parts]) for name in parts[-1]
     }
@@ -47,7 +47,7 @@ def write_table(
     sink = pa.BufferOutputStream()
     parquet = _parquet()
     parquet.write_table(pa.table(arrays), sink, compression="zstd", compression_level=19)
-    write_bytes(path, sink.getvalue().to_pybytes())
+    return sink.getvalue().to_pybytes()
 
 
 def _small(name: str, values: NDArray[np.generic]) -> pa.Array:
@@ -74,20 +74,61 @@ def read_table(path: Path, wanted: Iterable[str] = ()) -> Columns:
     Raises:
         CdcsrError: the file is damaged, or lacks a column that is wanted.
     """
-    if not path.is_file():
+    if not path.exists() and not is_summed(path):
         return {}
+    data = read_summed(path)
     parquet = _parquet()
     import pyarrow as pa
 
     try:
-        table = parquet.read_table(path)
+        file = parquet.ParquetFile(pa.BufferReader(data))
+        about = file.metadata
+        if about.num_rows * about.num_columns > _MOST_CELLS:
+            raise ValueError(f"{about.num_rows:,} rows are more than is allowed")
+        table = file.read()
         columns = {name: _plain(name, table[name].combine_chunks()) for name in table.column_names}
-    except (OSError, pa.ArrowException) as error:
+    # A damaged file of an older version, without checksums, fails in many ways.
+    except Exception as error:
         line = next(iter(str(error).splitlines()), type(error).__name__)
         raise CdcsrError(f"{path} is damaged ({line}); restore it from git.") from None
     if missing := [name for name in wanted if name not in columns]:
         raise CdcsrError(f"{path} has no column {', '.join(missing)}; restore it from git.")
     return columns
+
+
+def sums(files: Mapping[str, bytes]) -> bytes:
+    """Return the content of :data:`SUMS` for files by name."""
+    lines = [f"{sha256(files[name]).hexdigest()}  {name}\n" for name in sorted(files)]
+    return "".join(lines).encode()
+
+
+def is_summed(path: Path) -> bool:
+    """Return whether the store of a file has a checksum of it."""
+    return path.name in (_read_sums(path) or {})
+
+
+def read_summed(path: Path) -> bytes:
+    """Return the content of a file of a store; stores of older versions have no checksums.
+
+    Raises:
+        CdcsrError: it cannot be read, or has not its checksum.
+    """
+    data, expected = read_bytes(path, MOST_TABLE), _read_sums(path)
+    if expected is not None and expected.get(path.name) != sha256(data).hexdigest():
+        raise CdcsrError(
+            f"{path} is damaged: it has not its checksum in {SUMS}; restore both from git, or, if "
+            f"you changed it on purpose, run `sha256sum *.parquet *.jsonl > {SUMS}` there."
+        )
+    return data
+
+
+def _read_sums(path: Path) -> dict[str, str] | None:
+    """Return the checksums of the store that a file is in, or None if it has none."""
+    file = path.with_name(SUMS)
+    if not file.exists():
+        return None
+    lines = [line.split(maxsplit=1) for line in read_text(file, "table of checksums").splitlines()]
+    return {line[1]: line[0] for line in lines if len(line) == 2}
 
 
 def _plain(name: str, array: pa.Array) -> NDArray[np.generic]:

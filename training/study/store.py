@@ -20,12 +20,24 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cdcsr.errors import CdcsrError
-from cdcsr.files import read_json, write_text
+from cdcsr.files import read_json, write_together
+from cdcsr.reading import MOST_TABLE, read_bytes
 from cdcsr.tables import read_csv_rows
-from training.study.parquet import DECIMALS, Columns, read_table, write_table
+from training.study.parquet import (
+    DECIMALS,
+    SUMS,
+    Columns,
+    read_summed,
+    read_table,
+    sums,
+    table_bytes,
+)
 
 Convert = Callable[[str], object]
 _Table = Mapping[str, Sequence[object] | NDArray[np.generic]]
+_Files = dict[str, bytes | None]
+"""Contents of files by name; None for a file that is not there."""
+_KINDS = "*.parquet", "*.jsonl"
 
 RECORDS, RECORD = "runs.jsonl", "run.json"
 METRICS, FOLLOW = "metrics", "follow"
@@ -104,25 +116,26 @@ def pack(work: Path, store: Path) -> int:
             run.evaluations = {**old.evaluations, **run.evaluations}
             run.follow = old.follow if run.follow is None else run.follow
         runs[name] = run
-    write_store(store, runs)
-    _pack_searches(work, store)
-    _pack_named(store / "sweeps.parquet", {path.stem: path for path in work.glob("*.csv")})
+    files = _store(runs) | _pack_searches(work, store)
+    sweeps = {path.stem: path for path in work.glob("*.csv")}
+    files["sweeps.parquet"] = _pack_named(store / "sweeps.parquet", sweeps)
+    _write(store, files)
     return len(new)
 
 
-def _pack_searches(work: Path, store: Path) -> None:
+def _pack_searches(work: Path, store: Path) -> _Files:
     found = {path.parent.name: path for path in work.glob("*/search.json")}
     path = store / "searches.jsonl"
     options = {str(record["name"]): record for record in read_lines(path)} if path.is_file() else {}
     options |= {name: {"name": name, **read_json(one)} for name, one in found.items()}
-    if options:
-        write_text(path, "".join(json.dumps(options[name]) + "\n" for name in sorted(options)))
+    lines = "".join(json.dumps(options[name]) + "\n" for name in sorted(options))
     tables = {name: one.with_name("targets.csv") for name, one in found.items()}
-    _pack_named(store / "searches.parquet", tables)
+    packed = _pack_named(store / "searches.parquet", tables)
+    return {path.name: lines.encode() or None, "searches.parquet": packed}
 
 
-def _pack_named(path: Path, files: Mapping[str, Path]) -> None:
-    """Add CSV files to a Parquet file whose column `name` has their names."""
+def _pack_named(path: Path, files: Mapping[str, Path]) -> bytes | None:
+    """Return a Parquet file whose column `name` has the names of CSV files, with these added."""
     known = read_table(path)
     names = known.pop("name", np.array([], dtype=np.str_))
     parts = {
@@ -136,7 +149,7 @@ def _pack_named(path: Path, files: Mapping[str, Path]) -> None:
             key: np.round(values.astype(float), DECIMALS) if values.dtype.kind == "f" else values
             for key, values in table.items()
         }
-    write_table(path, [_of(name, parts[name], "name") for name in sorted(parts)])
+    return table_bytes([_of(name, parts[name], "name") for name in sorted(parts)])
 
 
 def write_store(folder: Path, runs: Mapping[str, StoredRun]) -> None:
@@ -145,6 +158,26 @@ def write_store(folder: Path, runs: Mapping[str, StoredRun]) -> None:
     Raises:
         CdcsrError: a file cannot be written.
     """
+    _write(folder, _store(runs))
+
+
+def _write(folder: Path, files: _Files) -> None:
+    """Write the files of a store with their checksums; delete those that have become empty."""
+    there = {name: data for name, data in files.items() if data is not None}
+    # Other files of the store, such as those that this command does not make, stay.
+    others = {path.name: path for pattern in _KINDS for path in folder.glob(pattern)}
+    kept = {
+        name: read_bytes(path, MOST_TABLE) for name, path in others.items() if name not in files
+    }
+    written = {folder / name: data for name, data in there.items()}
+    write_together({**written, folder / SUMS: sums({**kept, **there})})
+    for name in files.keys() - there.keys():
+        (folder / name).unlink(missing_ok=True)
+
+
+def _store(runs: Mapping[str, StoredRun]) -> _Files:
+    """Return the files of a store by name."""
+    files: _Files = {}
     names = sorted(runs)
     episodes = [
         {"run": [name] * len(columns["episode"]), "evaluation": [one] * len(columns["episode"])}
@@ -160,9 +193,10 @@ def write_store(folder: Path, runs: Mapping[str, StoredRun]) -> None:
             [_of(name, follow) for name in names if (follow := runs[name].follow) is not None],
         ),
     ):
-        write_table(folder / f"{file}.parquet", parts)
+        files[f"{file}.parquet"] = table_bytes(parts)
     lines = [json.dumps({"name": name, **runs[name].record}) for name in names]
-    write_text(folder / RECORDS, "\n".join(lines) + "\n")  # last: it makes the folder a store
+    files[RECORDS] = ("\n".join(lines) + "\n").encode()
+    return files
 
 
 def _with_all_columns(parts: Sequence[_Table]) -> list[_Table]:
@@ -199,8 +233,8 @@ def read_lines(path: Path) -> list[dict[str, object]]:
         CdcsrError: the file is damaged.
     """
     try:
-        records = [json.loads(line) for line in path.read_text("utf-8").splitlines()]
-    except (OSError, ValueError) as error:
+        records = [json.loads(line) for line in read_summed(path).decode().splitlines()]
+    except (ValueError, RecursionError) as error:
         raise CdcsrError(f"{path} is damaged ({error}); restore it from git.") from None
     if not all(isinstance(record, dict) and "name" in record for record in records):
         raise CdcsrError(f"{path} is damaged (a line has no name); restore it from git.")

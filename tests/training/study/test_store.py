@@ -2,7 +2,11 @@
 
 from __future__ import annotations
 
+import errno
+import itertools
 import json
+import shutil
+from hashlib import sha256
 from pathlib import Path
 
 import numpy as np
@@ -10,7 +14,8 @@ import pytest
 
 from cdcsr.errors import CdcsrError
 from tests.support.small_study import HEAD, nominal, write_csv, write_run
-from training.study.store import pack, read_results, read_table, write_store
+from training.study.parquet import SUMS, read_table
+from training.study.store import pack, read_results, write_store
 
 FOLLOW = ("backend", "motion", "episode", "step", "tip_error")
 FOLLOW += ("base_position_error", "base_attitude_error")
@@ -86,9 +91,39 @@ def test_damage_is_one_clear_line(
     store = tmp_path / "store"
     pack(work, store)
     (store / file).write_bytes(content)
+    with pytest.raises(CdcsrError, match=f"{file} is damaged: it has not its checksum"):
+        read_results(store)
+    (store / SUMS).unlink()  # as in a store of an older version
     with pytest.raises(CdcsrError, match=message) as error:
         read_results(store)
     assert "\n" not in str(error.value)
+
+
+def test_the_checksums_are_those_of_the_usual_tool(work: Path, tmp_path: Path) -> None:
+    pack(work, tmp_path)
+    names = sorted(path.name for path in tmp_path.iterdir() if path.name != SUMS)
+    lines = [f"{sha256((tmp_path / name).read_bytes()).hexdigest()}  {name}" for name in names]
+    assert (tmp_path / SUMS).read_text().splitlines() == lines
+
+
+def test_packing_is_all_or_nothing(
+    work: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    store, written = tmp_path / "store", itertools.count()
+    pack(work, store)
+    before = {path.name: path.read_bytes() for path in store.iterdir()}
+    shutil.rmtree(work / "two")
+    plain = Path.write_bytes
+
+    def full(path: Path, data: bytes) -> int:
+        if next(written) == 4:
+            raise OSError(errno.ENOSPC, "No space left on device")
+        return plain(path, data)
+
+    monkeypatch.setattr(Path, "write_bytes", full)
+    with pytest.raises(CdcsrError, match=r"Cannot write .*: No space left on device"):
+        pack(work, store)
+    assert {path.name: path.read_bytes() for path in store.iterdir()} == before
 
 
 def test_a_missing_column_is_named(work: Path, tmp_path: Path) -> None:
