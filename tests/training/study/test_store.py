@@ -100,10 +100,11 @@ def test_damage_is_one_clear_line(
 
 
 def test_the_checksums_are_those_of_the_usual_tool(work: Path, tmp_path: Path) -> None:
-    pack(work, tmp_path)
-    names = sorted(path.name for path in tmp_path.iterdir() if path.name != SUMS)
-    lines = [f"{sha256((tmp_path / name).read_bytes()).hexdigest()}  {name}" for name in names]
-    assert (tmp_path / SUMS).read_text().splitlines() == lines
+    store = tmp_path / "store"
+    pack(work, store)
+    files = sorted(path for path in store.iterdir() if path.name != SUMS)
+    lines = [f"{sha256(path.read_bytes()).hexdigest()}  {path.name}" for path in files]
+    assert (store / SUMS).read_text().splitlines() == lines
 
 
 def test_packing_is_all_or_nothing(
