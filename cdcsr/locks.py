@@ -12,7 +12,7 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 
 from cdcsr.errors import CdcsrError, cannot_write
-from cdcsr.leftovers import is_running, make_folder, started, temporary_beside
+from cdcsr.leftovers import is_running, make_folder, started, sweep, temporary_beside
 
 HEARTBEAT = 5.0
 """Seconds between two signs of life of the process that holds a lock."""
@@ -54,6 +54,10 @@ def lock(path: Path) -> Iterator[None]:
             mine.write_text(json.dumps(holder))
             _take(path, mine)
             mine.unlink(missing_ok=True)  # now, as a killed process would leave it behind
+            sweep(path.parent)
+            turn = _turn(path)
+            if turn.exists() and _is_stale(turn):  # killed while it took a lock over
+                turn.unlink(missing_ok=True)
         except OSError as error:
             raise cannot_write(path, error) from None
         beat.start()
@@ -91,7 +95,7 @@ def _take(path: Path, mine: Path) -> None:
             path.hardlink_to(mine)
             return
         if _is_stale(path):
-            turn = path.with_name(f".{path.name}.next")
+            turn = _turn(path)
             # A second name of the same file, as `replace` below uses up the first.
             own = mine.with_name(f"{mine.name}.next")
             own.hardlink_to(mine)
@@ -109,6 +113,11 @@ def _take(path: Path, mine: Path) -> None:
             break  # otherwise it was given back just now
     holder = _holder(path)
     raise Busy(f"{path} is held by the live process {holder.get('pid')} on {holder.get('host')}.")
+
+
+def _turn(path: Path) -> Path:
+    """Return the lock that a process holds while it takes over the lock `path`."""
+    return path.with_name(f".{path.name}.next")
 
 
 def _is_stale(path: Path) -> bool:
