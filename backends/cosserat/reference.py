@@ -16,6 +16,7 @@ from cdcsr.robot.description import Robot
 from cdcsr.simulation.contract import Array
 
 _STATICS = "statics/{}RodMuJoCo_dataStatics.csv"
+_DYNAMICS = "dynamics/{}RodMuJoCo_{}.txt"
 _FILE_NAMES = {"steel": "SpringSteel", "tpu": "TPU"}
 _RODS = {
     "steel": {
@@ -50,6 +51,22 @@ class Shapes:
     """Places of the middle and the tip, from the clamp, shape (n, 2, 3), in [m]."""
 
 
+@dataclass(frozen=True)
+class Release:
+    """A rod that rests under wrenches and gravity, and is let go of the wrenches at once."""
+
+    damping_time: float
+    """Damping divided by stiffness, in [s]."""
+    gravity: Array
+    """Shape (3,), in [m/s^2]."""
+    wrenches: tuple[Array, Array]
+    """Torque in [N m] and force in [N] that held its middle and its tip, each of shape (6,)."""
+    interval: float
+    """The time between two places of the tip, in [s]."""
+    tip: Array
+    """Places of the tip from the clamp, shape (T, 3), in [m]; the first is at rest."""
+
+
 def rod(material: str, links: int, damping_time: float = 0.004, time_step: float = 1e-3) -> Robot:
     """Return a rod of the data as a robot: clamped, without cables and without gravity.
 
@@ -64,6 +81,57 @@ def rod(material: str, links: int, damping_time: float = 0.004, time_step: float
         | {"name": f"rod-{material}", "base": base | {"mount": "fixed"}, "workspace": workspace}
         | {"segments": [{"links": links, "backbone": backbone}]}
     )
+
+
+def stacked_rod(
+    material: str, links: int, damping_time: float = 0.004, time_step: float = 1e-3
+) -> Robot:
+    """Return the rod as a plain stack of equal links, with a joint at the beginning of each.
+
+    This is the plain way to build a chain. Each joint has the stiffness of its whole cell, but sits
+    half a cell too low.
+    """
+    whole = rod(material, links, damping_time, time_step)
+    backbone = whole.segments[0].backbone
+    assert backbone is not None
+    joint = backbone.joint(links, 0).model_dump()
+    piece = backbone.piece(backbone.length / links).model_dump()
+    segments = [{"links": links, "link": piece, "joint": joint}]
+    return Robot.model_validate(whole.model_dump() | {"segments": segments})
+
+
+def read_release(folder: Path, material: str, number: int) -> Release:
+    """Read a release of a material.
+
+    Args:
+        folder: the data.
+        material: the rod's.
+        number: of the file, from 1.
+
+    Raises:
+        CdcsrError: an unknown material, or the file is missing or has another format.
+    """
+    path = folder / _DYNAMICS.format(_file_name(material), number)
+    try:
+        table = np.loadtxt(path, delimiter="\t", ndmin=2)
+    except (OSError, ValueError) as error:
+        raise CdcsrError(f"Cannot read the release in {path}: {error}.") from None
+    if table.shape[0] < 4 or table.shape[1] != 13 or not np.isfinite(table).all():
+        raise CdcsrError(
+            f"The file {path} is no release: it needs 13 columns of numbers, and two rows of loads "
+            f"before at least two of motion; found {table.shape[1]} columns and {len(table)} rows."
+        )
+    wrenches = _wrench(table[1, 1:7]), _wrench(table[1, 7:13])
+    interval, tip = float(table[3, 0] - table[2, 0]), _turned(table[2:, 10:13])
+    return Release(float(table[0, 0]), _turned(table[0, 10:13]), wrenches, interval, tip)
+
+
+def count_releases(folder: Path, material: str) -> int:
+    """Return how many releases of a material a folder holds; they are numbered from 1."""
+    number = 0
+    while (folder / _DYNAMICS.format(_file_name(material), number + 1)).is_file():
+        number += 1
+    return number
 
 
 def read_shapes(folder: Path, material: str) -> Shapes:

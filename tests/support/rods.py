@@ -4,6 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
+import numpy as np
+from scipy.optimize import bisect
+from scipy.special import ellipe, ellipeinc, ellipk, ellipkinc
+
 from cdcsr.robot.description import Robot
 
 CABLES: dict[str, dict[str, object]] = {
@@ -47,3 +51,23 @@ def rod_robot(
         }
         | keys
     )
+
+
+def elastica(force: float, length: float, stiffness: float) -> tuple[float, float]:
+    """Return the tip of a clamped rod under a force across it: across and along, in [m].
+
+    K. E. Bisshopp and D. C. Drucker, "Large deflection of cantilever beams", Quarterly of Applied
+    Mathematics 3 (1945): with the tip's slope a, k^2 = (1 + sin a) / 2 and sin f = 1 / (k sqrt 2),
+    sqrt(P L^2 / E I) = K(k) - F(f, k). The force is in [N], the stiffness E I in [N m^2].
+    """
+    load = np.sqrt(force * length**2 / stiffness)
+
+    def integrals(slope: float) -> tuple[float, float]:
+        m = (1 + np.sin(slope)) / 2
+        f = np.arcsin(1 / np.sqrt(2 * m))
+        return ellipk(m) - ellipkinc(f, m), ellipe(m) - ellipeinc(f, m)
+
+    slope = bisect(lambda s: integrals(s)[0] - load, 1e-9, np.pi / 2 - 1e-9, xtol=1e-14)
+    assert isinstance(slope, float)
+    across = length * (1 - 2 * integrals(slope)[1] / load)
+    return across, np.sqrt(2 * stiffness * np.sin(slope) / force)

@@ -4,9 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from scipy.optimize import bisect
 from scipy.spatial.transform import Rotation
-from scipy.special import ellipe, ellipeinc, ellipk, ellipkinc
 
 from backends.cosserat.equilibrium import equilibrium
 from backends.parity.one_state import one_state
@@ -15,7 +13,7 @@ from cdcsr.robot.description import Robot, load_robot
 from cdcsr.robot.poses import arms
 from cdcsr.simulation.engines import load_backend, make_simulation
 from tests.support.physics import Make, changed, momentum
-from tests.support.rods import CABLES, rod_robot
+from tests.support.rods import CABLES, elastica, rod_robot
 
 LENGTH, STIFFNESS = 0.4, 0.0344  # [m], [N m^2]
 TUBE = {
@@ -41,33 +39,13 @@ def tip_of(robot: Robot, engine: str, make: Make, **load: object) -> np.ndarray:
     return simulation.state().tip_position[0] - (0, 0, robot.top)
 
 
-def elastica(force: float) -> tuple[float, float]:
-    """Return the tip of a clamped rod under a force across it: across and along, in [m].
-
-    K. E. Bisshopp and D. C. Drucker, "Large deflection of cantilever beams", Quarterly of Applied
-    Mathematics 3 (1945): with the tip's slope a, k^2 = (1 + sin a) / 2 and sin f = 1 / (k sqrt 2),
-    sqrt(P L^2 / E I) = K(k) - F(f, k).
-    """
-    load = np.sqrt(force * LENGTH**2 / STIFFNESS)
-
-    def integrals(slope: float) -> tuple[float, float]:
-        m = (1 + np.sin(slope)) / 2
-        f = np.arcsin(1 / np.sqrt(2 * m))
-        return ellipk(m) - ellipkinc(f, m), ellipe(m) - ellipeinc(f, m)
-
-    slope = bisect(lambda s: integrals(s)[0] - load, 1e-9, np.pi / 2 - 1e-9, xtol=1e-14)
-    assert isinstance(slope, float)
-    across = LENGTH * (1 - 2 * integrals(slope)[1] / load)
-    return across, np.sqrt(2 * STIFFNESS * np.sin(slope) / force)
-
-
 @pytest.mark.parametrize("links", [9, 10])
 def test_a_rod_under_a_tip_force_is_the_elastica_to_second_order(
     links: int, engine: str, make: Make
 ) -> None:
     """A force of 1 N bends it by more than 1 rad, in a plane through neither axis. With N links the
     tip is off by about 26 L / (100 N^2)."""
-    across, along = elastica(1.0)
+    across, along = elastica(1.0, LENGTH, STIFFNESS)
     direction = np.array([np.cos(0.5), np.sin(0.5), 0.0])
     off = []
     for count in (links, 2 * links, 4 * links):
