@@ -66,7 +66,7 @@ def swings(releases: Sequence[Release], robot: Robot, engine: str) -> list[Swing
         simulation.close()
     return [
         Swing(tip, np.linalg.norm(tip - release.tip, axis=1))
-        for tip, release in zip(np.moveaxis(tips, 1, 0), releases, strict=True)
+        for tip, release in zip(np.stack(tips, axis=1), releases, strict=True)
     ]
 
 

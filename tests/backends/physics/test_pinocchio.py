@@ -78,7 +78,7 @@ def evaluation(robot: Robot, backend: str, states: Snapshot) -> Dynamics:
 
 ROD = {
     **{"length": 0.8, "youngs_modulus": 1e7, "poissons_ratio": 0.3, "density": 3000.0},
-    **{"radius": 0.02, "inner_radius": 0.015, "damping_time": 0.1},
+    **{"radius": 0.08, "inner_radius": 0.06, "damping_time": 0.1},
 }
 ROBOTS = [load_robot(name) for name in KINDS]
 ROBOTS.append(

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from PIL import Image
-from scipy.optimize import brentq
+from scipy.optimize import bisect
 
 from cdcsr.errors import CdcsrError
 from cdcsr.simulation.contract import Array
@@ -50,7 +50,8 @@ def vibration(force: float, damping_time: float, times: Array) -> Array:
     total = np.zeros_like(times)
     for mode in range(8):
         around = (mode + 0.5) * np.pi
-        root = float(brentq(lambda b: np.cos(b) + 1 / np.cosh(b), around - 0.4, around + 0.4))
+        root = bisect(lambda b: np.cos(b) + 1 / np.cosh(b), around - 0.4, around + 0.4)
+        assert isinstance(root, float)
         speed = root**2 * np.sqrt(STIFFNESS / (DENSITY * LENGTH**4))
         decay = damping_time * speed**2 / 2
         turn = np.sqrt(complex(decay**2 - speed**2))
@@ -61,7 +62,7 @@ def vibration(force: float, damping_time: float, times: Array) -> Array:
 
 
 def write_release(folder: Path, force: float, damping_time: float) -> None:
-    times = 0.005 * np.arange(101)
+    times = 0.005 * np.arange(101.0)
     table = np.zeros((103, 13))
     table[0, 0], table[1, 10:13] = damping_time, file_vector(force, 0.0)
     table[2:, 0] = times
