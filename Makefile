@@ -5,10 +5,11 @@ INSTALLED := .venv/.installed
 PIP := $(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt
 
 .DEFAULT_GOAL := help
-.PHONY: help setup check test test-all coverage mutants demo bench clean
+.PHONY: help setup check test test-all coverage mutants demo view bench clean
 
 help:
 	@echo "make demo      train a small policy and show it in both engines, into demo/"
+	@echo "make view      see a robot move in MuJoCo and PyBullet, and steer it, in a web page"
 	@echo "make test      checks, then the fast tests"
 	@echo "make test-all  checks, then every test"
 	@echo "make coverage  the fast tests, and the share of lines that they run"
@@ -27,7 +28,7 @@ $(INSTALLED): pyproject.toml constraints.txt
 	@test -x $(BIN)/python || $(PYTHON) -m venv .venv
 	@$(PIP) pip
 	@echo "==> installing the versions in constraints.txt (downloads on the first run)"
-	@$(PIP) -e '.[study]' --group dev
+	@$(PIP) -e '.[study,view]' --group dev
 	@touch $@
 
 check: setup
@@ -59,6 +60,9 @@ mutants: setup
 demo: setup
 	@echo "==> demo"
 	@$(BIN)/cdcsr demo --out demo
+
+view: setup
+	@$(BIN)/cdcsr view --backend mujoco pybullet
 
 bench: setup
 	@echo "==> bench"

@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cdcsr.simulation.contract import Simulation, State
+from cdcsr.tasks.observation import observe
 from controllers.controller import Conditions, Controller, Target
 from controllers.rollout import seen_in
 
@@ -50,6 +51,45 @@ def act_on_simulation(
         simulation.step(command, frame_skip)
         sent.append(command)
     return np.stack(sent, axis=1)
+
+
+class StepByStep:
+    """Lets a controller act on one simulation whose target may be moved at any time.
+
+    The tip is to stay at the target, so that the robot follows where the target goes.
+
+    Args:
+        controller: it sees the true state if it is privileged, else what eq. (1) holds of it.
+    """
+
+    def __init__(self, controller: Controller) -> None:
+        self._controller = controller
+        self.name, self.frame_skip = controller.name, controller.frame_skip
+
+    def begin(self, simulation: Simulation) -> None:
+        """Begin an episode in a simulation of one copy.
+
+        Raises:
+            CdcsrError: the controller cannot act on this robot.
+        """
+        self._simulation, robot = simulation, simulation.robot
+        period = robot.time_step * self.frame_skip
+        self._controller.begin(
+            Conditions(robot, period, True, simulation.engine, simulation.dynamics)
+        )
+
+    def act(self, target: Array, time: float) -> Array:
+        """Return the set-points until the next action, shape (C,), in [m].
+
+        Args:
+            target: where the target is now, shape (3,), in [m].
+            time: since the episode began, in [s].
+        """
+        state, now = self._simulation.state(), np.array([time])
+        if self._controller.privileged:
+            return self._controller.act(state, Target(target[None], np.zeros((1, 3))), now)[0]
+        observation = observe(state, target[None])
+        return self._controller.act(*seen_in(observation, now, self._simulation.robot), now)[0]
 
 
 class _TimeStep(Protocol):

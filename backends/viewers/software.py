@@ -15,10 +15,10 @@ from scipy.spatial.transform import Rotation
 from trimesh.visual import ColorVisuals
 
 from backends.pybullet.client import connect
+from backends.viewers.cable_paths import CablePaths
 from cdcsr.robot.description import Robot
 from cdcsr.robot.meshes import link_parts, visual_meshes
-from cdcsr.robot.poses import Poses, link_poses
-from cdcsr.robot.routing import routing
+from cdcsr.robot.poses import link_poses
 from cdcsr.robot.ruler import ruler
 from cdcsr.simulation.cameras import camera_angles
 
@@ -47,14 +47,14 @@ class Renderer:
     def __init__(self, robot: Robot) -> None:
         self._client = connect(robot)
         self._disconnect = weakref.finalize(self, pybullet.disconnect, self._client)
-        self._robot, self._route, self._size = robot, routing(robot), ruler(robot).size
+        self._robot, self._paths, self._size = robot, CablePaths(robot), ruler(robot).size
         meshes = visual_meshes(robot)
         self._parts = [self._mesh(meshes[part]) for part in ("base", *link_parts(robot))]
         self._tip = self._ball(self._size * TIP_RADIUS, TIP_COLOR)
         self._targets: list[int] = []
         straight = np.zeros(7 + robot.num_cables + robot.num_hinges)
         straight[3] = 1.0
-        pieces = self._cable_pieces(link_poses(robot, straight))
+        pieces = self._paths.pieces(link_poses(robot, straight))
         self._cables = [self._line(end - start) for start, end in pieces]
         self._low, self._high = -robot.top, robot.top + robot.arm_length
 
@@ -128,7 +128,7 @@ class Renderer:
             for body in bodies:
                 self._put(body, place, turn)
         self._put(self._tip, poses.joint[-1])
-        for line, (start, end) in zip(self._cables, self._cable_pieces(poses), strict=True):
+        for line, (start, end) in zip(self._cables, self._paths.pieces(poses), strict=True):
             self._put(line, (start + end) / 2, _turn_to(end - start))
 
     def _mark(self, targets: Array) -> None:
@@ -138,22 +138,6 @@ class Renderer:
             self._put(ball, np.array(_FAR_AWAY))
         for ball, target in zip(self._targets, targets, strict=False):
             self._put(ball, target)
-
-    def _cable_pieces(self, poses: Poses) -> list[tuple[Array, Array]]:
-        """Return the straight pieces of all cables outside the base, from guide to guide, in the
-        world frame, in [m]."""
-        pieces, joint = [], poses.joint
-        for place, offset, joints in zip(
-            self._route.place, self._route.guide_offset, self._route.joints, strict=True
-        ):
-            across = poses.axes @ np.array([*place, 0.0])  # on the base and on each link
-            up = poses.axes[:, :, 2]
-            for n in range(joints):
-                below = joint[n] + across[n] - offset * up[n]
-                above = joint[n] + across[n + 1] + offset * up[n + 1]
-                end = joint[n + 1] + across[n + 1] - offset * up[n + 1]
-                pieces += [(below, above), (above, end)]
-        return pieces
 
     def _mesh(self, mesh: trimesh.Trimesh) -> list[int]:
         """Make bodies that look like a mesh, one for each of its colours."""

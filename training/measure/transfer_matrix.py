@@ -41,6 +41,7 @@ class Cell:
             **self.result.summary(),
             "success": self.result.success.tolist(),
             "length": self.result.length.tolist(),
+            "targets": self.result.targets.tolist(),
         }
 
 

@@ -1,0 +1,100 @@
+"""The live view: a web page that shows a session and steers it. Needs the extra `view`.
+
+The server's threads never touch the session. What a page asks for waits in a queue until the loop
+takes it up, between two updates.
+"""
+
+from __future__ import annotations
+
+import logging
+import time
+from collections.abc import Callable
+from contextlib import suppress
+from queue import Empty, SimpleQueue
+
+import viser  # pyright: ignore[reportMissingImports] - it is an extra
+
+from backends.viewers.controls import Controls
+from backends.viewers.scene import EngineScene
+from backends.viewers.session import Session
+from cdcsr.errors import CdcsrError
+
+UPDATES = 30.0
+"""The number of updates that the loop aims at, in [1/s]."""
+_BUDGET = 0.02
+"""How long the engines may take in one update, in [s]; an engine that is slower loses time instead
+of letting the page wait."""
+
+
+class _Server(viser.ViserServer):
+    """A server that never opens a tunnel to the world, whatever a page asks for."""
+
+    def request_share_url(self, verbose: bool = True) -> str | None:
+        return None
+
+
+class WebView:
+    """A page that shows a session.
+
+    Args:
+        session: only this object's thread may use it from now on.
+        host: the address to listen at.
+        port: the first port to try; the next free one is taken, 0 is any.
+
+    Attributes:
+        url: where the page is.
+    """
+
+    def __init__(self, session: Session, host: str = "127.0.0.1", port: int = 8080) -> None:
+        self._session, self._asked = session, SimpleQueue[Callable[[], None]]()
+        # A page that sends nonsense loses its connection; the terminal need not fill with that.
+        logging.getLogger("websockets.server").setLevel(logging.CRITICAL)
+        self._server = server = _Server(host, port, label="cdcsr", verbose=False)
+        server.gui.configure_theme(show_logo=False, show_share_button=False)
+        self.url = f"http://{host}:{server.get_port()}"
+        count = len(session.engines)
+        self._engines = [EngineScene(server, session, number) for number in range(count)]
+        self._controls = Controls(server, session, self._asked.put)
+        height, far = session.robot.top + session.robot.arm_length, self._engines[-1].origin[1]
+        away = 0.8 * height + 0.5 * far
+        server.initial_camera.position = (away, far / 2 - 0.25 * away, 0.8 * height)
+        server.initial_camera.look_at = (0.0, far / 2 + 0.2 * height, 0.5 * height)
+        self._last, self._stale = time.perf_counter(), True
+
+    @property
+    def num_pages(self) -> int:
+        """How many pages are open."""
+        return len(self._server.get_clients())
+
+    def update(self) -> None:
+        """Do what pages asked for, let time pass, and show the outcome."""
+        session = self._session
+        with suppress(Empty):
+            while True:
+                request = self._asked.get_nowait()
+                self._stale = True
+                try:
+                    request()
+                except CdcsrError as error:
+                    session.note = str(error)
+        now = time.perf_counter()
+        passed, self._last = min(now - self._last, 0.25), now
+        changed = session.advance(passed, _BUDGET) or self._stale
+        if changed:
+            with self._server.atomic():
+                for scene, view in zip(self._engines, session.views(), strict=True):
+                    scene.draw(view, session)
+            self._stale = False
+        self._controls.show(changed)
+
+    def run(self, until: Callable[[], bool] = lambda: False) -> None:
+        """Update until a condition holds."""
+        while not until():
+            begun = time.perf_counter()
+            self.update()
+            time.sleep(max(0.0, begun + 1 / UPDATES - time.perf_counter()))
+
+    def close(self) -> None:
+        """Stop the server and close the session's engines."""
+        self._server.stop()
+        self._session.close()

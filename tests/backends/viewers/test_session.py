@@ -1,0 +1,183 @@
+"""The session of the live view: time, driving, plants, episodes, and where cables are drawn."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+
+import numpy as np
+import pytest
+
+from backends.viewers.cable_paths import CablePaths
+from backends.viewers.driving import HAND, RECORDING, Shown
+from backends.viewers.session import Session
+from cdcsr.envs.gym_env import TaskVectorEnv
+from cdcsr.errors import CdcsrError, Diverged
+from cdcsr.robot.description import Robot, load_robot, shipped_robots
+from cdcsr.robot.poses import link_poses
+from cdcsr.robot.routing import cable_lengths, routing
+from cdcsr.simulation.plant import Parameters
+from cdcsr.tasks.spaces import anchor
+from controllers.demonstrations import record
+from controllers.feeds import StepByStep
+from controllers.jacobian import JacobianController
+from tests.support.controllers import Still
+from tests.support.physics import running
+
+STEP = 0.0025
+
+
+@pytest.fixture
+def session(paper: Robot) -> Iterator[Session]:
+    drivers = [StepByStep(JacobianController(paper)), StepByStep(Still())]
+    made = Session(paper, ["mujoco", "pybullet"], anchor(paper), drivers)
+    yield made
+    made.close()
+
+
+def test_all_engines_get_the_command_of_the_hand(paper: Robot, session: Session) -> None:
+    session.driving.pull(1, -5.0)
+    session.playing = True
+    assert session.advance(0.5)  # at a speed of 0.2: 0.1 s, 40 steps
+    command = np.zeros((1, paper.num_cables))
+    command[0, 1] = -5.0
+    for number, engine in enumerate(session.engines):
+        with running(paper, engine) as alone:
+            alone.step(command, 40)
+            expected = alone.state().tip_position[0]
+        np.testing.assert_array_equal(session.history[-1].tip[number], expected)
+        assert np.linalg.norm(expected - session.history[0].tip[number]) > 1e-4
+    tips = session.history[-1].tip
+    assert session.apart == pytest.approx(np.linalg.norm(tips[0] - tips[1]))
+
+
+def test_time_passes_only_while_playing_and_as_fast_as_asked(session: Session) -> None:
+    assert not session.advance(1.0)
+    assert session.time == 0
+    session.playing = True
+    for _ in range(10):  # 0.5 steps each: none may be lost
+        session.advance(0.5 * STEP / 0.2)
+    assert session.steps == 5
+    session.speed = 1.0
+    session.advance(4 * STEP)
+    assert session.time == pytest.approx(9 * STEP)
+    session.step()
+    assert session.steps == 10
+    assert not session.advance(1.0)  # a single step pauses
+    session.playing = True
+    assert not session.advance(1.0, budget=0.0)  # no time for the engines
+
+
+def test_a_controller_follows_the_target_that_is_dragged(session: Session) -> None:
+    session.drive("jacobian")
+    session.playing, session.speed = True, 1.0
+    session.advance(0.6)
+    assert (session.history[-1].distance < 0.03).all()
+    session.move_target(session.target + np.array([0.0, 0.08, 0.0]))
+    session.advance(STEP)
+    assert (session.history[-1].distance > 0.05).all()
+    session.advance(0.6)
+    assert (session.history[-1].distance < 0.03).all()
+    session.driving.pull(0, -0.1)
+    assert session.driving.name == HAND
+
+
+def test_a_recording_is_repeated_and_failures_are_found(paper: Robot) -> None:
+    env = TaskVectorEnv(2, paper, task="reach", frame_skip=2, autoreset_mode="Disabled")
+    episodes, *_ = record(JacobianController(paper), env, 2, seed=3)
+    env.close()
+    shown = [Shown(e.target, n == 0, e.actions, 2) for n, e in enumerate(episodes)]
+    session = Session(paper, ["mujoco"], anchor(paper), [], shown)
+    assert session.driving.name == RECORDING
+    session.show(session.driving.next_failure())
+    assert session.driving.chosen == 1
+    session.playing, session.speed = True, 1.0
+    session.advance(2 * STEP * episodes[1].length)
+    tip = episodes[1].observations[-1, :3]
+    np.testing.assert_allclose(session.history[-1].tip[0], tip, atol=1e-12)
+    np.testing.assert_array_equal(session.target, episodes[1].target)
+    with pytest.raises(CdcsrError, match="no episode 3"):
+        session.show(2)
+    session.close()
+
+
+def test_the_plant_changes_in_all_engines(paper: Robot, session: Session) -> None:
+    session.set_plant("link_mass", 2.0)
+    session.set_plant("command_delay", 3.0)
+    for simulation in session.simulations:
+        with running(paper, simulation.engine) as heavy:
+            heavy.set_parameters(None, Parameters(link_mass=2.0, command_delay=3))
+            expected = heavy.dynamics().mass_matrix
+            np.testing.assert_allclose(simulation.dynamics().mass_matrix, expected, rtol=1e-9)
+    session.driving.pull(0, -1.0)
+    for _ in range(3):
+        session.step()
+    assert session.views()[0].state.cable_travel[0, 0] == 0
+    session.step()
+    assert session.views()[0].state.cable_travel[0, 0] < 0
+    session.set_plant("rest_length_offset", 4.0)
+    assert session.steps == 0
+    for view in session.views():
+        np.testing.assert_allclose(view.slack, 0.004, atol=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("call", "message"),
+    [
+        (lambda s: s.driving.pull(8, 0.0), "no cable 9; there are 8"),
+        (lambda s: s.driving.pull(0, -5.1), "from -5 m to 0"),
+        (lambda s: s.driving.pull(0, np.nan), "from -5 m to 0"),
+        (lambda s: s.drive("jacobi"), "Did you mean 'jacobian'"),
+        (lambda s: s.new_target(-1), "from 0 on"),
+        (lambda s: s.move_target(np.array([0, np.nan, 0])), "finite"),
+        (lambda s: s.move_target(np.array([0, 0, 1e9])), "within 100 m"),
+        (lambda s: setattr(s, "speed", np.inf), "from 0.01 to 4"),
+        (lambda s: s.set_plant("base_mass", np.nan), "from 0.1 to 4"),
+        (lambda s: s.set_plant("gravity", 1.0), "Unknown number of the plant"),
+        (lambda s: s.show(0), "no episode 1; there are 0"),
+        (lambda s: s.driving.next_failure(), "None of the 0 episodes"),
+    ],
+)
+def test_nonsense_is_refused_and_changes_nothing(
+    session: Session, call: Callable[[Session], None], message: str
+) -> None:
+    before = session.plant, session.target.tolist(), session.driving.name, session.speed
+    with pytest.raises(CdcsrError, match=message):
+        call(session)
+    after = session.plant, session.target.tolist(), session.driving.name, session.speed
+    assert after == before
+
+
+def test_divergence_stops_the_session_at_its_start(
+    session: Session, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    session.playing = True
+    session.advance(0.1)
+
+    def diverge(*_: object) -> None:
+        raise Diverged("mujoco", 0, 0.1, "too fast")
+
+    monkeypatch.setattr(session.simulations[1], "step", diverge)
+    session.advance(0.1)
+    assert not session.playing
+    assert "diverged" in session.note
+    assert session.steps == 0
+
+
+@pytest.mark.parametrize("name", shipped_robots())
+def test_cables_are_drawn_as_long_as_they_are(name: str) -> None:
+    robot, random = load_robot(name), np.random.default_rng(0)
+    paths, travel = CablePaths(robot), random.uniform(-0.01, 0.01, robot.num_cables)
+    hinges = random.uniform(-0.2, 0.2, robot.num_hinges)
+    quaternion = random.normal(size=4)
+    base = [*random.normal(size=3), *(quaternion / np.linalg.norm(quaternion))]
+    poses = link_poses(robot, np.concatenate([base, travel, hinges]))
+    pieces, sliders = paths.pieces(poses), paths.sliders(poses, travel)
+    length = np.linalg.norm(sliders[:, 1] - sliders[:, 0], axis=1)
+    outside = np.bincount(paths.cable, np.linalg.norm(pieces[:, 1] - pieces[:, 0], axis=1))
+    expected = cable_lengths(routing(robot), travel, hinges)
+    np.testing.assert_allclose(length + outside, expected, atol=1e-12)
+    slack = np.full(robot.num_cables, 0.004)
+    lines = paths.bowed(pieces, poses, slack)
+    owner = paths.of_lines(np.arange(robot.num_cables))
+    drawn = np.bincount(owner, np.linalg.norm(lines[:, 1] - lines[:, 0], axis=1))
+    np.testing.assert_allclose(drawn - outside, slack, rtol=0.08)  # of four straight lines

@@ -1,0 +1,234 @@
+"""The page of the live view: what its messages do, what they cannot do, and how fast it is."""
+
+from __future__ import annotations
+
+import http.client
+import math
+import threading
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from backends.viewers.session import Session
+from cdcsr.robot.description import Robot
+from cdcsr.tasks.spaces import anchor
+from controllers.feeds import StepByStep
+from controllers.jacobian import JacobianController
+
+viser = pytest.importorskip("viser", reason="the extra `view` is not installed")
+msgspec = pytest.importorskip("msgspec")
+zstandard = pytest.importorskip("zstandard")
+client = pytest.importorskip("websockets.sync.client")
+
+CAMERA = {
+    "type": "ViewerCameraMessage",
+    "wxyz": (1.0, 0.0, 0.0, 0.0),
+    "position": (3.0, 0.0, 1.0),
+    "fov": 1.0,
+    "near": 0.01,
+    "far": 100.0,
+    "image_height": 100,
+    "image_width": 100,
+    "look_at": (0.0, 0.0, 1.0),
+    "up_direction": (0.0, 0.0, 1.0),
+}
+
+
+@pytest.fixture
+def session(paper: Robot) -> Session:
+    drivers = [StepByStep(JacobianController(paper))]
+    return Session(paper, ["mujoco", "pybullet"], anchor(paper), drivers)
+
+
+@pytest.fixture
+def url(session: Session) -> Iterator[str]:
+    """Serve the session from a thread, and yield where."""
+    from backends.viewers.web import WebView
+
+    view, stop = WebView(session, port=0), threading.Event()
+    loop = threading.Thread(target=view.run, args=(stop.is_set,))
+    loop.start()
+    yield view.url
+    stop.set()
+    loop.join()
+    view.close()
+
+
+class Page:
+    """A page in the words of viser: it keeps what it is told, and can say anything."""
+
+    def __init__(self, url: str) -> None:
+        address = url.replace("http", "ws")
+        protocol = f"viser-v{viser.__version__}"
+        self.socket = client.connect(address, subprotocols=[protocol], max_size=None)
+        self.messages: list[dict[str, Any]] = []
+        self.say(CAMERA)
+        wait(lambda: self.hear() and self.uuid("cable 8 [m]"))
+
+    def say(self, message: dict[str, object]) -> None:
+        self.socket.send(msgspec.msgpack.encode(message))
+
+    def hear(self) -> bool:
+        """Take in what has arrived."""
+        try:
+            while True:
+                raw = self.socket.recv(timeout=0.05)
+                packed = raw[16 : 16 + int.from_bytes(raw[8:16], "little")]
+                inner = zstandard.ZstdDecompressor().decompress(packed)
+                self.messages += msgspec.msgpack.decode(inner)["messages"]
+        except TimeoutError:
+            return True
+
+    def uuid(self, label: str) -> str:
+        """Return how an element is called, or nothing if the page has not heard of it."""
+        found = [m["uuid"] for m in self.messages if m.get("props", {}).get("label") == label]
+        return found[0] if found else ""
+
+    def set(self, label: str, value: object) -> None:
+        self.say(
+            {"type": "GuiUpdateMessage", "uuid": self.uuid(label), "updates": {"value": value}}
+        )
+
+
+def wait(condition: Callable[[], object], seconds: float = 30.0) -> None:
+    """Wait for a condition, and fail if it does not come."""
+    end = time.monotonic() + seconds
+    while not condition():
+        assert time.monotonic() < end, "it did not come"
+        time.sleep(0.02)
+
+
+def test_a_page_steers_the_session(url: str, session: Session) -> None:
+    page, other = Page(url), Page(url)
+    page.set("cable 3 [m]", 2.5)
+    wait(lambda: session.driving.command[2] == -2.5)
+    page.set("Play", True)
+    wait(lambda: session.time > 0.01)
+    other.set("Play", True)  # the same button: it pauses
+    wait(lambda: not session.playing)
+    page.set("driver", "jacobian")
+    wait(lambda: session.driving.name == "jacobian")
+    page.set("link masses, factor", 2.0)
+    wait(lambda: session.plant["link_mass"] == 2.0)
+    before = session.target
+    page.set("Next target", True)
+    wait(lambda: session.seed == 1 and (session.target != before).all())
+    place = [0.5, 0.1, 2.0]
+    drag = {"type": "TransformControlsUpdateMessage", "name": "/engine0/handle", "owner": ""}
+    page.say(drag | {"wxyz": [1, 0, 0, 0], "position": place})
+    wait(lambda: session.target.tolist() == place)
+    other.hear()
+    moved = [m for m in other.messages if m["type"] == "SetPositionMessage"]
+    assert any(np.allclose(m["position"], place) for m in moved)
+
+
+def test_nonsense_from_a_page_hurts_nobody(url: str, session: Session) -> None:
+    def update(label: str, **updates: object) -> Callable[[Page], None]:
+        message = {"type": "GuiUpdateMessage", "updates": updates}
+        return lambda page: page.say(message | {"uuid": page.uuid(label)})
+
+    drag = {"type": "TransformControlsUpdateMessage", "name": "/engine0/handle", "owner": ""}
+    nonsense: list[Callable[[Page], None]] = [
+        lambda page: page.socket.send(b"\x00\xff\xc1 no message"),
+        lambda page: page.socket.send("text"),
+        lambda page: page.say({"type": "NoSuchMessage"}),
+        lambda page: page.say({"type": "GuiUpdateMessage"}),
+        lambda page: page.say({"type": "ShareUrlRequest"}),
+        lambda page: page.socket.send(bytes(51 * 1024 * 1024)),
+        update("cable 1 [m]", value=math.nan),
+        update("cable 1 [m]", value=1e300),
+        update("cable 1 [m]", value="much"),
+        update("cable 1 [m]", value=None, no_such_property=1),
+        update("seed of target", value=1e300),
+        update("seed of target", value=0.5),
+        update("driver", value="nobody" * 1000),
+        update("speed", value=-1.0),
+        lambda page: page.say(drag | {"wxyz": [0, 0, 0, 0], "position": [math.nan] * 3}),
+        lambda page: page.say(drag | {"wxyz": [1, 0, 0, 0], "position": ["a", [], {}]}),
+        lambda page: page.socket.socket.close(),
+    ]
+    watching = Page(url)
+    for number, say in enumerate(nonsense, 1):
+        say(Page(url))
+        later = Page(url)  # one that comes after it gets everything, and can steer
+        pull = 0.02 * number
+        later.set("cable 2 [m]", pull)
+        wait(lambda pull=pull: session.driving.command[1] == -pull)
+        later.socket.close()
+    watching.hear()
+    assert session.driving.command[0] == 0
+    assert session.seed == 0
+    assert np.isfinite(session.target).all()
+    assert not any(m["type"].startswith("ShareUrl") for m in watching.messages)
+    wait(lambda: watching.hear() and "whole number" in watching_text(watching))
+
+
+def watching_text(page: Page) -> str:
+    """Return all texts that a page was shown."""
+    return " ".join(str(m["updates"].get("_markdown", "")) for m in page.messages if "updates" in m)
+
+
+def test_twenty_pages_come_and_vanish(url: str, session: Session) -> None:
+    pages = [Page(url) for _ in range(20)]
+    pages[0].set("Play", True)
+    wait(lambda: session.playing)
+    for page in pages[1:11]:
+        page.socket.socket.close()  # without a word
+    before = session.time
+    wait(lambda: session.time > before + 0.01)
+    for page in pages[11:]:
+        page.messages.clear()
+        wait(lambda page=page: page.hear() and page.messages)
+
+
+@pytest.mark.parametrize(
+    "path",
+    [
+        "/../../../../../../../../etc/passwd",
+        "/%2e%2e/%2e%2e/%2e%2e/%2e%2e/%2e%2e/%2e%2e/%2e%2e/%2e%2e/etc/passwd",
+        "/..%2f..%2f..%2f..%2f..%2f..%2f..%2f..%2f..%2fetc%2fpasswd",
+        "/..\\..\\..\\..\\..\\..\\..\\..\\etc\\passwd",
+        "//etc/passwd",
+        "/etc/passwd",
+        "/%00/etc/passwd",
+    ],
+)
+def test_no_file_can_be_read(url: str, path: str) -> None:
+    connection = http.client.HTTPConnection(url.removeprefix("http://"), timeout=30)
+    connection.putrequest("GET", path, skip_host=False)
+    connection.endheaders()
+    answer = connection.getresponse()
+    assert answer.status >= 400
+    assert b"root:" not in answer.read()
+    connection.close()
+
+
+def test_it_listens_to_this_machine_only(url: str) -> None:
+    port = int(url.rpartition(":")[2])
+    lines = Path("/proc/net/tcp").read_text().splitlines()[1:]
+    listening = [line.split()[1] for line in lines if line.split()[3] == "0A"]
+    assert [a for a in listening if a.endswith(f":{port:04X}")] == [f"0100007F:{port:04X}"]
+
+
+def test_updates_of_paper_take_less_than_a_core(paper: Robot) -> None:
+    from backends.viewers.web import WebView
+
+    driver = StepByStep(JacobianController(paper))
+    session = Session(paper, ["mujoco"], anchor(paper), [driver])
+    session.drive("jacobian")
+    view = WebView(session, port=0)
+    session.playing, reader = True, threading.Thread(target=Page, args=(view.url,))
+    reader.start()
+    begun, updates = time.process_time(), 100
+    for _ in range(updates):
+        view.update()
+        time.sleep(1 / 30)
+    rate = updates / (time.process_time() - begun)
+    reader.join()
+    view.close()
+    print(f"\n{rate:.0f} updates/s of a processor's time")
+    assert rate > 25

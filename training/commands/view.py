@@ -1,0 +1,114 @@
+"""`cdcsr view`: see a robot move, and steer it, in a web page."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from backends.viewers.driving import Shown
+    from cdcsr.robot.description import Robot
+    from controllers.controller import Controller
+
+
+def view(
+    robot: str = "paper",
+    /,
+    *,
+    backend: tuple[str, ...] = ("mujoco",),
+    drive: tuple[str, ...] = ("jacobian",),
+    show: Path | None = None,
+    space: str = "anchor",
+    frame_skip: int = 1,
+    seed: int = 0,
+    host: str = "127.0.0.1",
+    port: int = 8080,
+) -> None:
+    """See a robot move, and steer it, in a web page.
+
+    Needs the extra: pip install 'cdcsr[view]'.
+
+    Args:
+        robot: a shipped robot's name, or a path ending in .toml; a policy brings its own.
+        backend: one engine, or several that get the same commands side by side.
+        drive: controllers to choose from in the page, named as for `cdcsr evaluate`; the first one
+            begins.
+        show: episodes to show again: a dataset made by `cdcsr demonstrate`, or the JSON file of
+            `cdcsr evaluate`.
+        space: the operation space of the targets: anchor, floating, spatter or workspace.
+        frame_skip: how many simulation steps each command of the dataset was held for.
+        seed: seed of the first target.
+        host: the address to listen at; 0.0.0.0 lets other machines in, who then can steer too.
+        port: the port to listen at; if it is taken, the next free one.
+    """
+    from backends.viewers.session import Session
+    from cdcsr.errors import CdcsrError
+    from cdcsr.robot.description import load_robot
+    from cdcsr.tasks.spaces import make_space
+    from controllers.feeds import StepByStep
+    from training.commands.measured import find_controller, set_threads
+
+    try:
+        from backends.viewers.web import WebView
+    except ImportError:
+        raise CdcsrError("The view needs viser; run: pip install 'cdcsr[view]'") from None
+    set_threads()
+    described = load_robot(robot)
+    controllers = [find_controller(name, described) for name in drive]
+    shown = _common_robot(controllers, described)
+    episodes = _episodes(show, shown, frame_skip, backend[0]) if show else []
+    session = Session(
+        shown,
+        backend,
+        make_space(space, shown),
+        [StepByStep(controller) for controller in controllers],
+        episodes,
+        seed,
+    )
+    if controllers and not episodes:
+        session.drive(controllers[0].name)
+    session.playing = True
+    page = WebView(session, host, port)
+    print(f"{shown.name} in {', '.join(backend)}: open {page.url} (Ctrl-C ends)", flush=True)
+    try:
+        page.run()
+    finally:
+        page.close()
+
+
+def _common_robot(controllers: list[Controller], described: Robot) -> Robot:
+    """Return the one robot that all controllers are for."""
+    from cdcsr.errors import CdcsrError
+    from training.commands.measured import robot_of
+
+    robots = {robot.fingerprint: robot for robot in (robot_of(c, described) for c in controllers)}
+    if len(robots) > 1:
+        names = ", ".join(f"{c.name} ({robot_of(c, described).name})" for c in controllers)
+        raise CdcsrError(f"All controllers must be for one robot; found {names}.")
+    return next(iter(robots.values()), described)
+
+
+def _episodes(path: Path, robot: Robot, frame_skip: int, backend: str) -> list[Shown]:
+    """Read the episodes of a dataset, or those of an evaluation: in the first engine if it has
+    them."""
+    import numpy as np
+
+    from backends.viewers.driving import Shown
+    from cdcsr.errors import CdcsrError
+    from cdcsr.files import read_json
+    from controllers.demonstrations import load
+
+    if path.is_dir():
+        recorded = load(path, robot.fingerprint, frame_skip)
+        return [Shown(e.target, True, e.actions, frame_skip) for e in recorded]
+    try:
+        cells = read_json(path)["cells"]
+        cell = next((cell for cell in cells if cell["backend"] == backend), cells[0])
+        targets = np.array(cell["targets"], dtype=float).reshape(-1, 3)
+        success = [bool(reached) for reached in cell["success"]]
+        return [Shown(*episode) for episode in zip(targets, success, strict=True)]
+    except (KeyError, IndexError, TypeError, ValueError) as error:
+        raise CdcsrError(
+            f"{path} holds no episodes ({type(error).__name__}: {error}); make it with "
+            "`cdcsr evaluate POLICY --json FILE`."
+        ) from None
