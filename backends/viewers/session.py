@@ -127,6 +127,8 @@ class Session:
         self.plant = {name: number.start for name, number in PLANT.items()}
         self.history: deque[Moment] = deque(maxlen=HISTORY)
         self.simulations = [make_simulation(robot, engine) for engine in engines]
+        for simulation in self.simulations:  # the first step may compile, and no page should wait
+            simulation.step(np.zeros((1, robot.num_cables)))
         self.new_target(seed)
         if episodes:
             self.show(0)

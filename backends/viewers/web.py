@@ -12,12 +12,14 @@ from collections.abc import Callable
 from contextlib import suppress
 from queue import Empty, SimpleQueue
 
+import numpy as np
 import viser  # pyright: ignore[reportMissingImports] - it is an extra
 
 from backends.viewers.controls import Controls
-from backends.viewers.scene import EngineScene
+from backends.viewers.scene import EngineScene, look_at
 from backends.viewers.session import Session
 from cdcsr.errors import CdcsrError
+from cdcsr.simulation.engines import engine_title
 
 UPDATES = 30.0
 """The number of updates that the loop aims at, in [1/s]."""
@@ -26,7 +28,7 @@ _BUDGET = 0.02
 of letting the page wait."""
 
 
-class _Server(viser.ViserServer):
+class LocalServer(viser.ViserServer):
     """A server that never opens a tunnel to the world, whatever a page asks for."""
 
     def request_share_url(self, verbose: bool = True) -> str | None:
@@ -49,16 +51,15 @@ class WebView:
         self._session, self._asked = session, SimpleQueue[Callable[[], None]]()
         # A page that sends nonsense loses its connection; the terminal need not fill with that.
         logging.getLogger("websockets.server").setLevel(logging.CRITICAL)
-        self._server = server = _Server(host, port, label="cdcsr", verbose=False)
+        self._server = server = LocalServer(host, port, label="cdcsr", verbose=False)
         server.gui.configure_theme(show_logo=False, show_share_button=False)
         self.url = f"http://{host}:{server.get_port()}"
-        count = len(session.engines)
-        self._engines = [EngineScene(server, session, number) for number in range(count)]
+        self._engines = [
+            EngineScene(server, session.robot, engine_title(engine), number, session.space)
+            for number, engine in enumerate(session.engines)
+        ]
         self._controls = Controls(server, session, self._asked.put)
-        height, far = session.robot.top + session.robot.arm_length, self._engines[-1].origin[1]
-        away = 0.8 * height + 0.5 * far
-        server.initial_camera.position = (away, far / 2 - 0.25 * away, 0.8 * height)
-        server.initial_camera.look_at = (0.0, far / 2 + 0.2 * height, 0.5 * height)
+        look_at(server, session.robot, self._engines[-1])
         self._last, self._stale = time.perf_counter(), True
 
     @property
@@ -82,8 +83,10 @@ class WebView:
         changed = session.advance(passed, _BUDGET) or self._stale
         if changed:
             with self._server.atomic():
-                for scene, view in zip(self._engines, session.views(), strict=True):
-                    scene.draw(view, session)
+                trails = np.array([moment.tip for moment in session.history]).swapaxes(0, 1)
+                for scene, view, trail in zip(self._engines, session.views(), trails, strict=True):
+                    tension = view.state.cable_tension[0]
+                    scene.draw(view.position, tension, view.slack, trail, session.target)
             self._stale = False
         self._controls.show(changed)
 

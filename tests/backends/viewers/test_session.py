@@ -178,6 +178,6 @@ def test_cables_are_drawn_as_long_as_they_are(name: str) -> None:
     np.testing.assert_allclose(length + outside, expected, atol=1e-12)
     slack = np.full(robot.num_cables, 0.004)
     lines = paths.bowed(pieces, poses, slack)
-    owner = paths.of_lines(np.arange(robot.num_cables))
+    owner = paths.of_lines(np.arange(float(robot.num_cables))).astype(int)
     drawn = np.bincount(owner, np.linalg.norm(lines[:, 1] - lines[:, 0], axis=1))
     np.testing.assert_allclose(drawn - outside, slack, rtol=0.08)  # of four straight lines

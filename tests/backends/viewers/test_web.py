@@ -6,7 +6,7 @@ import http.client
 import math
 import threading
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -69,19 +69,20 @@ class Page:
         self.say(CAMERA)
         wait(lambda: self.hear() and self.uuid("cable 8 [m]"))
 
-    def say(self, message: dict[str, object]) -> None:
+    def say(self, message: Mapping[str, object]) -> None:
         self.socket.send(msgspec.msgpack.encode(message))
 
     def hear(self) -> bool:
-        """Take in what has arrived."""
+        """Take in what has arrived; a page that is kept up to date never hears the end."""
         try:
-            while True:
+            for _ in range(50):
                 raw = self.socket.recv(timeout=0.05)
                 packed = raw[16 : 16 + int.from_bytes(raw[8:16], "little")]
                 inner = zstandard.ZstdDecompressor().decompress(packed)
                 self.messages += msgspec.msgpack.decode(inner)["messages"]
         except TimeoutError:
-            return True
+            pass
+        return True
 
     def uuid(self, label: str) -> str:
         """Return how an element is called, or nothing if the page has not heard of it."""
@@ -94,7 +95,7 @@ class Page:
         )
 
 
-def wait(condition: Callable[[], object], seconds: float = 30.0) -> None:
+def wait(condition: Callable[[], object], seconds: float = 60.0) -> None:
     """Wait for a condition, and fail if it does not come."""
     end = time.monotonic() + seconds
     while not condition():
