@@ -7,6 +7,7 @@ takes it up, between two updates.
 from __future__ import annotations
 
 import logging
+import socket
 import time
 from collections.abc import Callable
 from contextlib import suppress
@@ -45,9 +46,13 @@ class WebView:
 
     Attributes:
         url: where the page is.
+
+    Raises:
+        CdcsrError: this machine cannot listen there.
     """
 
     def __init__(self, session: Session, host: str = "127.0.0.1", port: int = 8080) -> None:
+        _check_address(host, port)
         self._session, self._asked = session, SimpleQueue[Callable[[], None]]()
         # A page that sends nonsense loses its connection; the terminal need not fill with that.
         logging.getLogger("websockets.server").setLevel(logging.CRITICAL)
@@ -101,3 +106,20 @@ class WebView:
         """Stop the server and close the session's engines."""
         self._server.stop()
         self._session.close()
+
+
+def _check_address(host: str, port: int) -> None:
+    """Check that this machine can listen at an address; viser would wait for ever.
+
+    Raises:
+        CdcsrError: it cannot.
+    """
+    if not 0 <= port < 2**16:
+        raise CdcsrError(f"A port is a number from 0 to {2**16 - 1}; found {port}.")
+    try:
+        socket.create_server((host, 0)).close()
+    except OSError as error:
+        raise CdcsrError(
+            f"Cannot listen at {host} ({error.strerror}); 127.0.0.1 is this machine alone, "
+            "0.0.0.0 all of its addresses."
+        ) from None

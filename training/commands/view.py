@@ -12,7 +12,7 @@ if TYPE_CHECKING:
 
 
 def view(
-    robot: str = "paper",
+    robot: str | None = None,
     /,
     *,
     backend: tuple[str, ...] = ("mujoco",),
@@ -29,7 +29,8 @@ def view(
     Needs the extra: pip install 'cdcsr[view]'.
 
     Args:
-        robot: a shipped robot's name, or a path ending in .toml; a policy brings its own.
+        robot: a shipped robot's name, or a path ending in .toml; by default the robot of a policy
+            or of a dataset, else paper.
         backend: one engine, or several that get the same commands side by side.
         drive: controllers to choose from in the page, named as for `cdcsr evaluate`; the first one
             begins.
@@ -45,6 +46,7 @@ def view(
     from cdcsr.errors import CdcsrError
     from cdcsr.robot.description import load_robot
     from cdcsr.tasks.spaces import make_space
+    from controllers.dataset_files import stored_robot
     from controllers.feeds import StepByStep
     from training.commands.measured import find_controller, set_threads
 
@@ -53,9 +55,11 @@ def view(
     except ImportError:
         raise CdcsrError("The view needs viser; run: pip install 'cdcsr[view]'") from None
     set_threads()
-    described = load_robot(robot)
+    stored = stored_robot(show) if show is not None and show.is_dir() and robot is None else None
+    described = stored or load_robot(robot or "paper")
+    asked = robot is not None or stored is not None
     controllers = [find_controller(name, described) for name in drive]
-    shown = _common_robot(controllers, described)
+    shown = _common_robot(controllers, described, asked)
     episodes = _episodes(show, shown, frame_skip, backend[0]) if show else []
     session = Session(
         shown,
@@ -76,14 +80,15 @@ def view(
         page.close()
 
 
-def _common_robot(controllers: list[Controller], described: Robot) -> Robot:
+def _common_robot(controllers: list[Controller], described: Robot, asked: bool) -> Robot:
     """Return the one robot that all controllers are for."""
     from cdcsr.errors import CdcsrError
     from training.commands.measured import robot_of
 
-    robots = {robot.fingerprint: robot for robot in (robot_of(c, described) for c in controllers)}
+    found = {c.name: robot_of(c, described, asked) for c in controllers}
+    robots = {robot.fingerprint: robot for robot in found.values()}
     if len(robots) > 1:
-        names = ", ".join(f"{c.name} ({robot_of(c, described).name})" for c in controllers)
+        names = ", ".join(f"{name} ({robot.name})" for name, robot in found.items())
         raise CdcsrError(f"All controllers must be for one robot; found {names}.")
     return next(iter(robots.values()), described)
 

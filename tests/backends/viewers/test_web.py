@@ -14,6 +14,7 @@ import numpy as np
 import pytest
 
 from backends.viewers.session import Session
+from cdcsr.errors import CdcsrError
 from cdcsr.robot.description import Robot
 from cdcsr.tasks.spaces import anchor
 from controllers.feeds import StepByStep
@@ -213,6 +214,24 @@ def test_it_listens_to_this_machine_only(url: str) -> None:
     lines = Path("/proc/net/tcp").read_text().splitlines()[1:]
     listening = [line.split()[1] for line in lines if line.split()[3] == "0A"]
     assert [a for a in listening if a.endswith(f":{port:04X}")] == [f"0100007F:{port:04X}"]
+
+
+@pytest.mark.parametrize(
+    ("host", "port", "message"),
+    [
+        ("127.0.0.1", 65536, "from 0 to 65535"),
+        ("192.0.2.1", 8080, "Cannot listen at 192.0.2.1"),  # an address of nobody (RFC 5737)
+        ("no such host", 8080, "Cannot listen at no such host"),
+    ],
+)
+def test_an_address_of_others_is_refused(
+    session: Session, host: str, port: int, message: str
+) -> None:
+    from backends.viewers.web import WebView
+
+    with pytest.raises(CdcsrError, match=message):
+        WebView(session, host, port)
+    session.close()
 
 
 def test_updates_of_paper_take_less_than_a_core(paper: Robot) -> None:
