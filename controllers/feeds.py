@@ -11,6 +11,8 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from cdcsr.robot.description import Robot
+from cdcsr.robot.ruler import ruler
 from cdcsr.simulation.contract import Simulation, State
 from cdcsr.tasks.observation import observe
 from controllers.controller import Conditions, Controller, Target
@@ -60,11 +62,12 @@ class StepByStep:
 
     Args:
         controller: it sees the true state if it is privileged, else what eq. (1) holds of it.
+        robot: the robot that it is to control.
     """
 
-    def __init__(self, controller: Controller) -> None:
-        self._controller = controller
-        self.name, self.frame_skip = controller.name, controller.frame_skip
+    def __init__(self, controller: Controller, robot: Robot) -> None:
+        self._controller, self.name = controller, controller.name
+        self.frame_skip = controller.frame_skip or ruler(robot).frame_skip
 
     def begin(self, simulation: Simulation) -> None:
         """Begin an episode in a simulation of one copy.

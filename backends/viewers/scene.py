@@ -12,6 +12,7 @@ from backends.viewers.software import CABLE_RADIUS, TARGET_COLOR, TARGET_RADIUS,
 from cdcsr.robot.description import Robot
 from cdcsr.robot.meshes import link_parts, visual_meshes
 from cdcsr.robot.poses import link_poses
+from cdcsr.robot.ruler import ruler
 from cdcsr.tasks.spaces import Anchor, Balls, Space
 
 Array = NDArray[np.float64]
@@ -65,14 +66,14 @@ class EngineScene:
                 f"{name}/{part}", meshes[part], still, np.zeros((len(chosen), 3)), lod="off"
             )
             self._links.append((chosen, batch))
-        none = np.zeros((0, 2, 3))
+        none, size = np.zeros((0, 2, 3)), ruler(robot).size
         self._cables = scene.add_line_segments(
-            f"{name}/cables", none, none, thickness=2 * CABLE_RADIUS
+            f"{name}/cables", none, none, thickness=2 * size * CABLE_RADIUS
         )
         self._trail = scene.add_line_segments(
-            f"{name}/trail", none, TIP_COLOR[:3], thickness=3 * CABLE_RADIUS
+            f"{name}/trail", none, TIP_COLOR[:3], thickness=3 * size * CABLE_RADIUS
         )
-        self._target = scene.add_icosphere(f"{name}/target", TARGET_RADIUS, TARGET_COLOR[:3])
+        self._target = scene.add_icosphere(f"{name}/target", size * TARGET_RADIUS, TARGET_COLOR[:3])
 
     def draw(
         self, position: Array, tension: Array, slack: Array, trail: Array, target: Array

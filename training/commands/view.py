@@ -19,7 +19,7 @@ def view(
     drive: tuple[str, ...] = ("jacobian",),
     show: Path | None = None,
     space: str = "anchor",
-    frame_skip: int = 1,
+    frame_skip: int | None = None,
     seed: int = 0,
     host: str = "127.0.0.1",
     port: int = 8080,
@@ -37,7 +37,8 @@ def view(
         show: episodes to show again: a dataset made by `cdcsr demonstrate`, or the JSON file of
             `cdcsr evaluate`.
         space: the operation space of the targets: anchor, floating, spatter or workspace.
-        frame_skip: how many simulation steps each command of the dataset was held for.
+        frame_skip: how many simulation steps each command of the dataset was held for; by default
+            the robot's own number.
         seed: seed of the first target.
         host: the address to listen at; 0.0.0.0 lets other machines in, who then can steer too.
         port: the port to listen at; if it is taken, the next free one.
@@ -65,7 +66,7 @@ def view(
         shown,
         backend,
         make_space(space, shown),
-        [StepByStep(controller) for controller in controllers],
+        [StepByStep(controller, shown) for controller in controllers],
         episodes,
         seed,
     )
@@ -93,7 +94,7 @@ def _common_robot(controllers: list[Controller], described: Robot, asked: bool) 
     return next(iter(robots.values()), described)
 
 
-def _episodes(path: Path, robot: Robot, frame_skip: int, backend: str) -> list[Shown]:
+def _episodes(path: Path, robot: Robot, frame_skip: int | None, backend: str) -> list[Shown]:
     """Read the episodes of a dataset, or those of an evaluation: in the first engine if it has
     them."""
     import numpy as np
@@ -101,11 +102,13 @@ def _episodes(path: Path, robot: Robot, frame_skip: int, backend: str) -> list[S
     from backends.viewers.driving import Shown
     from cdcsr.errors import CdcsrError
     from cdcsr.files import read_json
+    from cdcsr.robot.ruler import ruler
     from controllers.demonstrations import load
 
     if path.is_dir():
-        recorded = load(path, robot.fingerprint, frame_skip)
-        return [Shown(e.target, True, e.actions, frame_skip) for e in recorded]
+        hold = frame_skip or ruler(robot).frame_skip
+        recorded = load(path, robot.fingerprint, hold)
+        return [Shown(e.target, True, e.actions, hold) for e in recorded]
     try:
         cells = read_json(path)["cells"]
         cell = next((cell for cell in cells if cell["backend"] == backend), cells[0])

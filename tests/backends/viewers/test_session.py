@@ -28,7 +28,7 @@ STEP = 0.0025
 
 @pytest.fixture
 def session(paper: Robot) -> Iterator[Session]:
-    drivers = [StepByStep(JacobianController(paper)), StepByStep(Still())]
+    drivers = [StepByStep(JacobianController(paper), paper), StepByStep(Still(), paper)]
     made = Session(paper, ["mujoco", "pybullet"], anchor(paper), drivers)
     yield made
     made.close()

@@ -41,7 +41,7 @@ CAMERA = {
 
 @pytest.fixture
 def session(paper: Robot) -> Session:
-    drivers = [StepByStep(JacobianController(paper))]
+    drivers = [StepByStep(JacobianController(paper), paper)]
     return Session(paper, ["mujoco", "pybullet"], anchor(paper), drivers)
 
 
@@ -237,7 +237,7 @@ def test_an_address_of_others_is_refused(
 def test_updates_of_paper_take_less_than_a_core(paper: Robot) -> None:
     from backends.viewers.web import WebView
 
-    driver = StepByStep(JacobianController(paper))
+    driver = StepByStep(JacobianController(paper), paper)
     session = Session(paper, ["mujoco"], anchor(paper), [driver])
     session.drive("jacobian")
     view = WebView(session, port=0)
