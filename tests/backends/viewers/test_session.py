@@ -176,7 +176,7 @@ def test_cables_are_drawn_as_long_as_they_are(name: str) -> None:
     outside = np.bincount(paths.cable, np.linalg.norm(pieces[:, 1] - pieces[:, 0], axis=1))
     expected = cable_lengths(routing(robot), travel, hinges)
     np.testing.assert_allclose(length + outside, expected, atol=1e-12)
-    slack = np.full(robot.num_cables, 0.004)
+    slack = np.full(robot.num_cables, 0.0015 * robot.arm_length)
     lines = paths.bowed(pieces, poses, slack)
     owner = paths.of_lines(np.arange(float(robot.num_cables))).astype(int)
     drawn = np.bincount(owner, np.linalg.norm(lines[:, 1] - lines[:, 0], axis=1))
