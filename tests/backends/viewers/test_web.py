@@ -65,7 +65,9 @@ class Page:
     def __init__(self, url: str) -> None:
         address = url.replace("http", "ws")
         protocol = f"viser-v{viser.__version__}"
-        self.socket = client.connect(address, subprotocols=[protocol], max_size=None)
+        self.socket = client.connect(
+            address, subprotocols=[protocol], max_size=None, ping_interval=None
+        )
         self.messages: list[dict[str, Any]] = []
         self.say(CAMERA)
         wait(lambda: self.hear() and self.uuid("cable 8 [m]"))
