@@ -13,6 +13,7 @@ from collections.abc import Mapping
 import mujoco
 import numpy as np
 
+from cdcsr.robot.colors import CABLE, HULL, METAL, TIP, Color, segment_color, share
 from cdcsr.robot.description import Robot
 from cdcsr.robot.meshes import link_parts
 from cdcsr.robot.parts import Joint, Link
@@ -34,8 +35,6 @@ _TOUCH = 1e-9
 in [m], so that in the first step a pull acts on the arm and not on a free slider."""
 _RIGID = 0.9999
 """The largest impedance that MuJoCo allows."""
-_GREY, _STEEL = (0.75, 0.76, 0.8, 1), (0.45, 0.5, 0.58, 1)
-_CABLE, _RED = (0.9, 0.55, 0.1, 1), (0.85, 0.2, 0.2, 1)
 
 
 def build_spec(robot: Robot, meshes: Mapping[str, str] | None = None) -> mujoco.MjSpec:
@@ -66,7 +65,7 @@ def build_spec(robot: Robot, meshes: Mapping[str, str] | None = None) -> mujoco.
     )
     if robot.base.mount == "free":
         base.add_freejoint(name="base")
-    _draw(base, meshes, "base", mujoco.mjtGeom.mjGEOM_BOX, [s / 2 for s in robot.base.size], _GREY)
+    _draw(base, meshes, "base", mujoco.mjtGeom.mjGEOM_BOX, [s / 2 for s in robot.base.size], HULL)
     route = routing(robot)
     _add_sliders(base, robot, route, meshes)
     guides = _add_arm(base, robot, route, meshes)
@@ -94,11 +93,11 @@ def _draw(
     part: str,
     shape: mujoco.mjtGeom,
     size: list[float],
-    rgba: tuple[float, ...],
+    color: Color,
     pos: tuple[float, float, float] = (0, 0, 0),
 ) -> None:
     """Add a visual geom, which has no mass and touches nothing."""
-    looks = {"rgba": rgba, "contype": 0, "conaffinity": 0, "density": 0.0, "group": 1}
+    looks = {"rgba": share(color), "contype": 0, "conaffinity": 0, "density": 0.0, "group": 1}
     if meshes and part in meshes:
         body.add_geom(type=mujoco.mjtGeom.mjGEOM_MESH, meshname=part, **looks)
     else:
@@ -130,7 +129,7 @@ def _add_sliders(
             range=[-UNLIMITED, servo.stop],
         )
         slider.add_site(name=f"pull_{c}", size=[0.002, 0, 0])
-        _draw(slider, meshes, parts[c], mujoco.mjtGeom.mjGEOM_SPHERE, [servo.radius], _STEEL)
+        _draw(slider, meshes, parts[c], mujoco.mjtGeom.mjGEOM_SPHERE, [servo.radius], METAL)
 
 
 def _add_arm(
@@ -159,7 +158,7 @@ def _add_arm(
             part,
             mujoco.mjtGeom.mjGEOM_CYLINDER,
             [link.radius, link.length / 2],
-            _GREY,
+            segment_color(int(part.split("_")[1])),
             (0, 0, link.length / 2),
         )
         passing = [c for c in all_cables if route.joints[c] > j]
@@ -168,7 +167,7 @@ def _add_arm(
             body, passing, f"{j}_high", [link.length - route.guide_offset[c] for c in passing]
         )
         joint_at = link.length
-    body.add_site(name="tip", pos=[0, 0, joint_at], size=[0.01, 0, 0], rgba=_RED)
+    body.add_site(name="tip", pos=[0, 0, joint_at], size=[0.01, 0, 0], rgba=share(TIP))
     return guides
 
 
@@ -211,7 +210,7 @@ def _add_cables(spec: mujoco.MjSpec, robot: Robot, route: Routing, guides: list[
             solref_limit=solref,
             solimp_limit=solimp,
             width=0.002,
-            rgba=_CABLE,
+            rgba=share(CABLE),
         )
         for site in (f"pull_{c}", *guides[c]):
             tendon.wrap_site(site)

@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from importlib import resources
 from pathlib import Path
 
 from backends.pybullet.urdf import cable_file, urdf
@@ -11,9 +12,12 @@ from cdcsr.files import write_json, write_text
 from cdcsr.robot.description import Robot
 from cdcsr.robot.meshes import link_parts
 
+DRIVER = "drive_pybullet.py"
+
 
 def write_urdf(robot: Robot, folder: Path, meshes: Mapping[str, str]) -> None:
-    """Write `<robot>.urdf` and `cables.json`; see :data:`backends.export.model_files.Exporter`."""
+    """Write `<robot>.urdf`, `cables.json` and a script that drives them; see
+    :data:`backends.export.model_files.Exporter`."""
     # In URDF every link names its own mesh.
     sliders = [s for s, segment in enumerate(robot.segments) for _ in segment.cable_angles]
     mesh_files = {"base": meshes["base"]}
@@ -21,3 +25,5 @@ def write_urdf(robot: Robot, folder: Path, meshes: Mapping[str, str]) -> None:
     mesh_files |= {f"slider_{c}": meshes[f"slider_{s}"] for c, s in enumerate(sliders)}
     write_text(folder / f"{robot.name}.urdf", urdf(robot, mesh_files, world=True))
     write_json(folder / "cables.json", cable_file(robot))
+    driver = resources.files("backends.pybullet") / DRIVER
+    write_text(folder / DRIVER, driver.read_text("utf-8"))

@@ -15,18 +15,10 @@ from collections.abc import Mapping
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from cdcsr.robot.colors import HULL, METAL, segment_color, share
 from cdcsr.robot.description import Robot
 from cdcsr.robot.routing import routing
 
-BASE_COLOR = (0.62, 0.65, 0.70, 1.0)
-SLIDER_COLOR = (0.85, 0.55, 0.15, 1.0)
-CROSS_COLOR = (0.25, 0.26, 0.30, 1.0)
-SEGMENT_COLORS = (
-    (0.16, 0.44, 0.72, 1.0),
-    (0.86, 0.36, 0.22, 1.0),
-    (0.22, 0.58, 0.38, 1.0),
-    (0.55, 0.38, 0.66, 1.0),
-)
 UNLIMITED = 1e6
 """The limits that URDF demands and the description does not have: effort, velocity, and the travel
 of a slider away from its guide."""
@@ -58,7 +50,7 @@ def urdf(robot: Robot, mesh_files: Mapping[str, str] | None = None, world: bool 
     """
     model = _Model(robot.name, mesh_files or {})
     base = robot.base
-    model.link("base", base.mass, base.inertia, ("box", {"size": _text(*base.size)}), BASE_COLOR)
+    model.link("base", base.mass, base.inertia, ("box", {"size": _text(*base.size)}), share(HULL))
     if world and base.mount == "fixed":
         ET.SubElement(model.root, "link", name="world")
         turn = Rotation.from_quat(base.quaternion, scalar_first=True).as_euler("xyz")
@@ -66,7 +58,7 @@ def urdf(robot: Robot, mesh_files: Mapping[str, str] | None = None, world: bool 
     for c, (servo, place) in enumerate(zip(robot.servos, slider_places(robot), strict=True)):
         name, moment = f"slider_{c}", 0.4 * servo.mass * servo.radius**2
         ball = ("sphere", {"radius": _text(servo.radius)})
-        model.link(name, servo.mass, (moment, moment, moment), ball, SLIDER_COLOR)
+        model.link(name, servo.mass, (moment, moment, moment), ball, share(METAL))
         joint = ("prismatic", "0 0 1", (-UNLIMITED, servo.stop), servo.damping)
         model.joint(f"slide_{c}", joint, "base", name, tuple(place))
 
@@ -77,11 +69,11 @@ def urdf(robot: Robot, mesh_files: Mapping[str, str] | None = None, world: bool 
         for k, hinge in enumerate(bends.hinges):
             child = f"cross_{j}" + f"_{k}" * (k > 0)
             if k < len(bends.hinges) - 1:
-                model.link(child, 0.0, (0.0, 0.0, 0.0), ball, CROSS_COLOR)
+                model.link(child, 0.0, (0.0, 0.0, 0.0), ball, share(METAL))
             else:
                 child = f"link_{j}"
                 shape = {"radius": _text(part.radius), "length": _text(part.length)}
-                color = SEGMENT_COLORS[segment_of[j] % len(SEGMENT_COLORS)]
+                color = share(segment_color(segment_of[j]))
                 heights = part.center_of_mass, part.length / 2
                 model.link(child, part.mass, part.inertia, ("cylinder", shape), color, heights)
             axis = " ".join(str(int(a == hinge.axis)) for a in "xyz")

@@ -16,22 +16,17 @@ from trimesh.visual import ColorVisuals
 
 from backends.pybullet.client import connect
 from backends.viewers.cable_paths import CablePaths
+from cdcsr.robot.colors import BACKGROUND, CABLE, TARGET, TARGET_RADIUS, TIP, TIP_RADIUS
 from cdcsr.robot.description import Robot
 from cdcsr.robot.meshes import link_parts, visual_meshes
 from cdcsr.robot.poses import link_poses
 from cdcsr.robot.ruler import ruler
-from cdcsr.simulation.cameras import camera_angles
+from cdcsr.simulation.cameras import HEIGHT, WIDTH, camera_angles
 
 Array = NDArray[np.float64]
 
-HEIGHT, WIDTH = 640, 480
-"""The size of a picture in pixels, upright as the robot is."""
-TARGET_RADIUS, TIP_RADIUS, CABLE_RADIUS = 0.018, 0.010, 0.002
-"""The radii of the marks and of the drawn cables, in [m], for a robot of the paper's size."""
-TARGET_COLOR = (235, 45, 60, 255)
-TIP_COLOR = (25, 160, 70, 255)
-CABLE_COLOR = (60, 60, 66, 255)
-BACKGROUND = (246, 247, 250)
+CABLE_RADIUS = 0.002
+"""The radius of the drawn cables, in [m]."""
 _OVERSAMPLING = 2
 _MARGIN = 0.12
 """The free space around the robot, as a share of its height."""
@@ -50,7 +45,7 @@ class Renderer:
         self._robot, self._paths, self._size = robot, CablePaths(robot), ruler(robot).size
         meshes = visual_meshes(robot)
         self._parts = [self._mesh(meshes[part]) for part in ("base", *link_parts(robot))]
-        self._tip = self._ball(self._size * TIP_RADIUS, TIP_COLOR)
+        self._tip = self._ball(self._size * TIP_RADIUS, TIP)
         self._targets: list[int] = []
         straight = np.zeros(7 + robot.num_cables + robot.num_hinges)
         straight[3] = 1.0
@@ -133,7 +128,7 @@ class Renderer:
 
     def _mark(self, targets: Array) -> None:
         while len(self._targets) < len(targets):
-            self._targets.append(self._ball(self._size * TARGET_RADIUS, TARGET_COLOR))
+            self._targets.append(self._ball(self._size * TARGET_RADIUS, TARGET))
         for ball in self._targets:
             self._put(ball, np.array(_FAR_AWAY))
         for ball, target in zip(self._targets, targets, strict=False):
@@ -167,7 +162,7 @@ class Renderer:
     def _line(self, along: Array) -> int:
         radius = self._size * CABLE_RADIUS
         line = trimesh.creation.cylinder(radius, np.linalg.norm(along), sections=8)
-        (body,) = self._mesh(_coloured(line, CABLE_COLOR))
+        (body,) = self._mesh(_coloured(line, CABLE))
         return body
 
     def _put(self, body: int, place: Array, quaternion: ArrayLike = (0.0, 0.0, 0.0, 1.0)) -> None:

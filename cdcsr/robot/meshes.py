@@ -16,16 +16,12 @@ from trimesh.visual import ColorVisuals
 
 from cdcsr import files
 from cdcsr.errors import CdcsrError
+from cdcsr.robot.colors import HULL, METAL, PANEL, segment_color
 from cdcsr.robot.description import Robot
 from cdcsr.robot.parts import Link
 from cdcsr.robot.routing import routing
 
 _SECTIONS = 32
-_HULL = (190, 195, 205, 255)
-_PANEL = (35, 60, 130, 255)
-_METAL = (90, 90, 95, 255)
-_SEGMENTS = ((225, 120, 50, 255), (60, 140, 200, 255), (90, 170, 90, 255))
-"""Colours of the segments from the base on, as RGBA; a fourth segment has the first one again."""
 
 
 def visual_meshes(robot: Robot) -> dict[str, trimesh.Trimesh]:
@@ -43,7 +39,7 @@ def visual_meshes(robot: Robot) -> dict[str, trimesh.Trimesh]:
     for s, segment in enumerate(robot.segments):
         if segment.cable_angles:
             ball = trimesh.creation.icosphere(2, segment.servo.radius)
-            meshes[f"slider_{s}"] = _coloured(ball, _METAL)
+            meshes[f"slider_{s}"] = _coloured(ball, METAL)
     return meshes
 
 
@@ -114,7 +110,7 @@ def export_glb(robot: Robot, path: Path) -> None:
         # At rest the slider and the guides are in line, so the cable is drawn straight.
         line = trimesh.creation.cylinder(0.0012, height=route.rest_length[c], sections=8)
         place(f"slider_{s}", f"slider{c}", (x, y, low))
-        place(_coloured(line, _METAL), f"cable{c}", (x, y, low + route.rest_length[c] / 2))
+        place(_coloured(line, METAL), f"cable{c}", (x, y, low + route.rest_length[c] / 2))
     files.write_bytes(path, gltf.export_glb(scene))
 
 
@@ -126,23 +122,23 @@ def _base(robot: Robot) -> trimesh.Trimesh:
     # Each corner is cut back along all axes but one, in turn.
     cut = 0.08 * small * (1 - np.eye(3))
     corners = np.concatenate([signs * (np.array([x, y, z]) - c) for c in cut])
-    hull = _coloured(trimesh.convex.convex_hull(corners), _HULL)
+    hull = _coloured(trimesh.convex.convex_hull(corners), HULL)
     throat, mouth, end = 0.2 * small, 0.45 * small, -z - 0.5 * small
     nozzle = _revolved(
         [(0, -z - 0.05 * small), (0.9 * mouth, end), (mouth, end), (throat, -z), (0, -z)]
     )
-    parts = [_coloured(nozzle, _METAL)]
+    parts = [_coloured(nozzle, METAL)]
     for side in (-1, 1):
         panel = trimesh.creation.box((1.2 * x, 2.4 * y, 0.05 * small))
         panel.apply_translation((0, side * (y + 0.2 * small + 1.2 * y), 0))
         boom = trimesh.creation.box((0.1 * small, 0.4 * small, 0.05 * small))
         boom.apply_translation((0, side * (y + 0.1 * small), 0))
-        parts += [_coloured(panel, _PANEL), _coloured(boom, _METAL)]
+        parts += [_coloured(panel, PANEL), _coloured(boom, METAL)]
     stub = robot.segments[0].stub
     if stub is not None:
         rod = trimesh.creation.cylinder(stub.radius, stub.length, sections=_SECTIONS)
         rod.apply_translation((0, 0, z + stub.length / 2))
-        parts.append(_coloured(rod, _SEGMENTS[0]))
+        parts.append(_coloured(rod, segment_color(0)))
     return sum(parts, start=hull)
 
 
@@ -163,7 +159,7 @@ def _link(robot: Robot, link: Link, s: int) -> trimesh.Trimesh:
     for z in heights:
         profile += [(backbone, z - half), (disc, z - half), (disc, z + half), (backbone, z + half)]
     profile += [(backbone, link.length), (0.0, link.length)]
-    return _coloured(_revolved(profile), _SEGMENTS[s % len(_SEGMENTS)])
+    return _coloured(_revolved(profile), segment_color(s))
 
 
 def _revolved(profile: list[tuple[float, float]]) -> trimesh.Trimesh:

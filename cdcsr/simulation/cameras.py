@@ -1,4 +1,4 @@
-"""The named views from which every engine draws a robot."""
+"""The named views from which every engine draws a robot, and the size of its pictures."""
 
 from __future__ import annotations
 
@@ -11,6 +11,9 @@ CAMERAS: dict[str, tuple[float, float]] = {
 }
 """Named views: azimuth around z from the y axis and elevation, in degrees. All look at the middle
 of the robot."""
+
+HEIGHT, WIDTH = 640, 480
+"""The size of a picture in pixels, upright as the robot is."""
 
 
 def camera_angles(name: str) -> tuple[float, float]:

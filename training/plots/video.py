@@ -13,10 +13,11 @@ from numpy.typing import NDArray
 from PIL import Image, ImageColor, ImageDraw, ImageFont
 from tqdm import tqdm
 
-from backends.viewers.software import BACKGROUND, Renderer
+from backends.viewers.software import Renderer
 from cdcsr.envs.gym_env import TaskVectorEnv
 from cdcsr.errors import CdcsrError
 from cdcsr.files import write_bytes
+from cdcsr.robot.colors import BACKGROUND
 from cdcsr.robot.description import Robot
 from cdcsr.robot.ruler import ruler
 from cdcsr.simulation.engines import engine_title

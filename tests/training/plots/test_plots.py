@@ -12,9 +12,10 @@ import pytest
 from numpy.typing import NDArray
 from PIL import Image, ImageSequence
 
-from backends.viewers.software import BACKGROUND, TARGET_RADIUS, Renderer
+from backends.viewers.software import Renderer
 from cdcsr.errors import CdcsrError
 from cdcsr.plots import COLORS
+from cdcsr.robot.colors import BACKGROUND, TARGET_RADIUS
 from cdcsr.robot.description import load_robot
 from controllers.jacobian import JacobianController
 from tests.support.pixels import count_pixels

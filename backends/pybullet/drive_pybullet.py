@@ -1,0 +1,59 @@
+"""Drive the robot beside this file in plain PyBullet: python drive_pybullet.py STEPS SETPOINT ...
+
+Stiff springs with dampers stand in for the cables that URDF lacks. The tip's place is printed.
+"""
+
+import json
+import sys
+from pathlib import Path
+
+import numpy as np
+import pybullet as p
+
+
+def drive(folder: Path, steps: int, setpoints: list[float]) -> np.ndarray:
+    """Hold set-points in [m] for some time steps; return the tip's place in [m], shape (3,)."""
+    data = json.loads((folder / "cables.json").read_text(encoding="utf-8"))
+    cables, hinges, step = data["cables"], data["hinges"], data["time_step"] / 10
+    p.setTimeStep(step, physicsClientId=p.connect(p.DIRECT))
+    p.setGravity(*data["gravity"])
+    # With other flags Bullet takes inertias of boxes. Its motors would hold every joint.
+    robot = p.loadURDF(str(folder / f"{data['robot']}.urdf"), flags=p.URDF_USE_INERTIA_FROM_FILE)
+    if (base := data["base"])["mount"] == "free":  # the file knows where a fixed base is
+        p.resetBasePositionAndOrientation(robot, base["position"], np.roll(base["quaternion"], -1))
+    infos = [p.getJointInfo(robot, i) for i in range(p.getNumJoints(robot))]
+    numbers, names = range(len(infos)), [info[1].decode() for info in infos]
+    link = {"base": -1} | {info[12].decode(): info[0] for info in infos}
+    p.changeDynamics(robot, -1, linearDamping=0, angularDamping=0, maxJointVelocity=1e9)
+    p.setJointMotorControlArray(robot, numbers, p.VELOCITY_CONTROL, forces=[0] * len(infos))
+    slider = [names.index(cable["slider_joint"]) for cable in cables]
+    spring = np.array([hinges[name]["stiffness"] if name in hinges else 0.0 for name in names])
+    spring[slider], target = [cable["servo"]["gain"] for cable in cables], np.zeros(len(names))
+    target[slider] = setpoints
+    mass = [p.getDynamicsInfo(robot, i)[0] for i in slider]
+    owner = [[slider[i]] + [link[g["link"]] for g in c["guides"]] for i, c in enumerate(cables)]
+    points = [np.array([[0, 0, 0]] + [g["xyz"] for g in c["guides"]]) for c in cables]
+    before, tip = [cable["rest_length"] for cable in cables], np.zeros(3)
+    for _ in range(10 * steps + 1):
+        states = p.getLinkStates(robot, numbers, computeForwardKinematics=1)
+        frames = [s[4:6] for s in states] + [p.getBasePositionAndOrientation(robot)]
+        turn = np.array([np.reshape(p.getMatrixFromQuaternion(q), (3, 3)) for _, q in frames])
+        origin, last = np.array([at for at, _ in frames]), link[data["tip"]["link"]]
+        tip = origin[last] + turn[last] @ data["tip"]["xyz"]
+        force = spring * (target - [state[0] for state in p.getJointStates(robot, numbers)])
+        p.setJointMotorControlArray(robot, numbers, p.TORQUE_CONTROL, forces=force)
+        for c, cable in enumerate(cables):
+            path = origin[owner[c]] + np.einsum("nij,nj->ni", turn[owner[c]], points[c])
+            length = np.linalg.norm(along := np.diff(path, axis=0), axis=1)
+            excess, rate = length.sum() - cable["rest_length"], (length.sum() - before[c]) / step
+            before[c], stiff = length.sum(), mass[c] / step**2
+            tension = max(0, stiff * (excess / 4 + step * rate / 2)) * (excess > 0)
+            pulls = tension * np.diff(along / length[:, None], axis=0, prepend=0, append=0)
+            for body, pull, point in zip(owner[c], pulls, path, strict=True):
+                p.applyExternalForce(robot, body, pull, point, p.WORLD_FRAME)
+        p.stepSimulation()
+    return tip
+
+
+if __name__ == "__main__":
+    print(*drive(Path(__file__).parent, int(sys.argv[1]), [float(x) for x in sys.argv[2:]]))
