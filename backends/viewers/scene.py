@@ -8,7 +8,8 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from backends.viewers.cable_paths import CablePaths
-from backends.viewers.software import CABLE_RADIUS, TARGET_COLOR, TARGET_RADIUS, TIP_COLOR
+from backends.viewers.software import CABLE_RADIUS
+from cdcsr.robot.colors import TARGET, TARGET_RADIUS, TIP
 from cdcsr.robot.description import Robot
 from cdcsr.robot.meshes import link_parts, visual_meshes
 from cdcsr.robot.poses import link_poses
@@ -71,9 +72,9 @@ class EngineScene:
             f"{name}/cables", none, none, thickness=2 * size * CABLE_RADIUS
         )
         self._trail = scene.add_line_segments(
-            f"{name}/trail", none, TIP_COLOR[:3], thickness=3 * size * CABLE_RADIUS
+            f"{name}/trail", none, TIP[:3], thickness=3 * size * CABLE_RADIUS
         )
-        self._target = scene.add_icosphere(f"{name}/target", size * TARGET_RADIUS, TARGET_COLOR[:3])
+        self._target = scene.add_icosphere(f"{name}/target", size * TARGET_RADIUS, TARGET[:3])
 
     def draw(
         self, position: Array, tension: Array, slack: Array, trail: Array, target: Array
