@@ -13,9 +13,11 @@ from numpy.typing import NDArray
 from backends.mujoco.active_cables import CURRENT, Cables, Limits, base_size, stepping_spec
 from backends.mujoco.copies import write_plant
 from cdcsr.errors import CdcsrError
+from cdcsr.robot.colors import TARGET, TARGET_RADIUS
 from cdcsr.robot.description import Robot
+from cdcsr.robot.ruler import ruler
 from cdcsr.robot.stability import highest_speeds, too_fast
-from cdcsr.simulation.cameras import camera_angles
+from cdcsr.simulation.cameras import HEIGHT, WIDTH, camera_angles
 from cdcsr.simulation.contract import (
     Array,
     Dynamics,
@@ -47,7 +49,8 @@ def _make_renderer(model: mujoco.MjModel) -> mujoco.Renderer:
     """
     if not _no_opengl:
         try:
-            return mujoco.Renderer(model, 480, 640)
+            model.vis.global_.offwidth, model.vis.global_.offheight = WIDTH, HEIGHT
+            return mujoco.Renderer(model, HEIGHT, WIDTH)
         except Exception as error:  # every GL platform raises another type
             _no_opengl.append(type(error).__name__)
     raise CdcsrError(
@@ -259,19 +262,33 @@ class BatchSimulation(Simulation):
         tip[:, :, 3:6] = tip[:, :, 3:6] @ turn.swapaxes(1, 2)
         return Dynamics(mass, bias, passive, tip, cables, velocity, length)
 
-    def _render(self, index: int, camera: str) -> NDArray[np.uint8]:
+    def _render(self, index: int, camera: str, targets: Array) -> NDArray[np.uint8]:
         azimuth, elevation = camera_angles(camera)
         renderer = self._renderer
         if renderer is None:
             renderer = self._renderer = _make_renderer(self.model)
         view = mujoco.MjvCamera()
         view.lookat[:] = self.model.stat.center
-        view.distance, view.azimuth = 1.6 * self.model.stat.extent, azimuth + 90
+        view.distance, view.azimuth = 1.9 * self.model.stat.extent, azimuth + 90
         view.elevation = elevation
         self._scratch.qpos = self._qpos[index]
         mujoco.mj_forward(self.model, self._scratch)
         renderer.update_scene(self._scratch, view)
+        for target in targets:
+            self._mark(renderer.scene, target)
         return renderer.render()
+
+    def _mark(self, scene: mujoco.MjvScene, target: Array) -> None:
+        """Add a ball to a scene, as large as the other renderer draws it."""
+        scene.ngeom += 1
+        mujoco.mjv_initGeom(
+            scene.geoms[scene.ngeom - 1],
+            mujoco.mjtGeom.mjGEOM_SPHERE,
+            np.full(3, ruler(self.robot).size * TARGET_RADIUS),
+            target,
+            np.eye(3).ravel(),
+            np.array(TARGET, np.float32) / np.float32(255),
+        )
 
     def _close(self) -> None:
         if self._renderer is not None:

@@ -155,8 +155,8 @@ class PybulletSimulation(Simulation):
         load = self.loads.generalized(position, ids) if self.loads.active else None
         return self._equation.dynamics(position, velocity, plant, load)
 
-    def _render(self, index: int, camera: str) -> NDArray[np.uint8]:
-        return self._renderer.draw(self._world.position[index], camera)
+    def _render(self, index: int, camera: str, targets: Array) -> NDArray[np.uint8]:
+        return self._renderer.draw(self._world.position[index], camera, targets)
 
     def _close(self) -> None:
         self._world.close()

@@ -64,8 +64,10 @@ class TaskEnv(gym.Env[Array, Array]):
         )
 
     def render(self) -> NDArray[np.uint8] | None:
-        """Return a picture, shape (height, width, 3), if the render mode asks for it."""
-        return self.batch.simulation.render(0) if self.render_mode == "rgb_array" else None
+        """Return a picture with the target, shape (height, width, 3), if the mode asks for it."""
+        if self.render_mode != "rgb_array":
+            return None
+        return self.batch.simulation.render(0, target=self.batch.targets[0])
 
     def close(self) -> None:
         """Release what the engine holds."""

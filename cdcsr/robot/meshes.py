@@ -164,7 +164,9 @@ def _link(robot: Robot, link: Link, s: int) -> trimesh.Trimesh:
 
 def _revolved(profile: list[tuple[float, float]]) -> trimesh.Trimesh:
     """Return the solid that a profile of (radius, z) sweeps around z."""
-    return trimesh.creation.revolve(np.array(profile), sections=_SECTIONS)
+    points = np.array(profile)
+    size = points.max()  # trimesh joins points nearer than 1e-8: of a link of 10 mm too many
+    return trimesh.creation.revolve(points / size, sections=_SECTIONS).apply_scale(size)
 
 
 def _coloured(mesh: trimesh.Trimesh, colour: tuple[int, int, int, int]) -> trimesh.Trimesh:

@@ -29,12 +29,12 @@ class NewRobot:
 
     name: str
     length: float
-    """Of the arm, in [m]."""
+    """The length of the arm, in [m]."""
     segments: int
     cables: int
-    """Of each segment."""
+    """The number in each segment."""
     links: int
-    """Of each segment."""
+    """The number in each segment."""
     base_mass: float | None = None
     """In [kg]; by default in proportion."""
     mount: str = "free"
@@ -77,12 +77,12 @@ class NewRobot:
 
     @property
     def _weight(self) -> float:
-        """Of the arm on earth, in [N]."""
+        """The weight of the arm on earth, in [N]."""
         return self._link_mass * self.segments * self.links * _FALL
 
     @property
     def _gain(self) -> float:
-        """Of a servo, in [N/m]."""
+        """The gain of a servo, in [N/m]."""
         force = 250 * self.size**3
         if self.gravity:  # as much as holds the arm at the middle of the cuboid
             force = max(force, self._weight * 0.04 * self.length / self._radius)

@@ -234,12 +234,15 @@ class Simulation(ABC):
         """Return the equation of motion of some copies, from this engine's own model."""
         return self._dynamics(self._chosen(ids))
 
-    def render(self, index: int = 0, camera: str = "side") -> NDArray[np.uint8]:
-        """Return a picture of one copy, shape (height, width, 3).
+    def render(
+        self, index: int = 0, camera: str = "side", target: ArrayLike | None = None
+    ) -> NDArray[np.uint8]:
+        """Return a picture of one copy, shape (HEIGHT, WIDTH, 3) of `cdcsr.simulation.cameras`.
 
         Args:
             index: which copy.
             camera: a name in :data:`cdcsr.simulation.cameras.CAMERAS`.
+            target: a point to mark, world frame, in [m].
 
         Raises:
             CdcsrError: there is no such copy or camera, or the engine cannot draw here.
@@ -247,7 +250,8 @@ class Simulation(ABC):
         self._check_open()
         check_count("The index of a copy", index, self.num - 1, least=0)
         camera_angles(camera)
-        return self._render(index, camera)
+        points = np.zeros((0, 3)) if target is None else as_floats("The target", target, (3,))
+        return self._render(index, camera, points.reshape(-1, 3))
 
     def close(self) -> None:
         """Release what the engine holds; to close twice does nothing."""
@@ -284,7 +288,7 @@ class Simulation(ABC):
     def _dynamics(self, ids: NDArray[np.int64]) -> Dynamics: ...
 
     @abstractmethod
-    def _render(self, index: int, camera: str) -> NDArray[np.uint8]: ...
+    def _render(self, index: int, camera: str, targets: Array) -> NDArray[np.uint8]: ...
 
     @abstractmethod
     def _close(self) -> None: ...

@@ -90,9 +90,9 @@ class MixedSimulation(Simulation):
             }
         )
 
-    def _render(self, index: int, camera: str) -> NDArray[np.uint8]:
+    def _render(self, index: int, camera: str, targets: Array) -> NDArray[np.uint8]:
         kinds = len(self.parts)
-        return self._parts[index % kinds]._render(index // kinds, camera)
+        return self._parts[index % kinds]._render(index // kinds, camera, targets)
 
     def _close(self) -> None:
         for part in self._parts:

@@ -1,4 +1,4 @@
-"""What does not fit into memory is refused before it is made, with figures."""
+"""Anything that does not fit into memory is refused before it is made, with figures."""
 
 from __future__ import annotations
 

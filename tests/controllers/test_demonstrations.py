@@ -98,7 +98,8 @@ def test_a_dataset_keeps_its_robot_and_its_map(tmp_path: Path, small_map: Path) 
     ours = load_workspace(load_robot("planar-single"), small_map).sample(
         np.random.default_rng(0), 5
     )
-    theirs = env.batch._episodes.space.sample(np.random.default_rng(0), 5)  # type: ignore[attr-defined]
+    space = env.batch._episodes.space  # type: ignore[attr-defined]
+    theirs = space.sample(np.random.default_rng(0), 5)
     np.testing.assert_array_equal(ours, theirs)
     env.close()
 

@@ -88,8 +88,8 @@ def test_instances_classes_and_factories_are_controllers(name: str) -> None:
     assert controller.privileged == other
     names = {"ForRobot": "for a robot", "Scripted": "jacobian"}
     assert controller.name == names.get(name, name)
-    expected = (5, "capture") if name == "ForRobot" else (1, "reach")
-    assert (controller.frame_skip, controller.task) == expected
+    expected = {"ForRobot": (5, "capture"), "Scripted": (1, "reach")}
+    assert (controller.frame_skip, controller.task) == expected.get(name, (None, "reach"))
 
 
 def test_a_loaded_controller_acts_like_the_same_one_by_name() -> None:

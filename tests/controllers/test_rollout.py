@@ -56,7 +56,8 @@ class Scripted:
     ) -> None:
         self.num_envs = len(distance)
         self.targets = self.target_velocity = np.zeros((self.num_envs, 3))
-        self.robot, self.frame_skip, self.backend = SimpleNamespace(time_step=0.25), 2, "none"
+        self.robot = SimpleNamespace(time_step=0.25, num_cables=1)
+        self.frame_skip, self.backend, self.max_actions = 2, "none", 4
         self.task = SimpleNamespace(kind="reach")
         self.simulation = SimpleNamespace(state=lambda: None, dynamics=None)
         self._distance = np.array(distance)

@@ -55,7 +55,7 @@ class Mutant(NamedTuple):
     line: int
     """The first line that differs."""
     text: str
-    """What stands there then."""
+    """The text that stands there then."""
 
 
 class Strip(ast.NodeTransformer):

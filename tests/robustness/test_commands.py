@@ -122,7 +122,7 @@ Case = tuple[str, list[str]]
 
 
 class Program(NamedTuple):
-    """What `cdcsr.cli.run` runs under a name."""
+    """A function that `cdcsr.cli.run` runs under a name."""
 
     name: str
     function: Callable[..., object]

@@ -115,7 +115,7 @@ COMMANDS: dict[str, tuple[Command, Command]] = {
 
 
 class Place:
-    """What the commands need, and what each of them makes if it is left alone."""
+    """A folder with all that the commands need, and what each makes if it is left alone."""
 
     def __init__(self, folder: Path) -> None:
         self.folder = folder

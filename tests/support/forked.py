@@ -24,7 +24,7 @@ _EVENTS = {"os.rename": 2, "os.mkdir": 1, "os.link": 2}
 
 @dataclass(frozen=True)
 class Fault:
-    """What happens at one moment of a command, counted in its writing calls or in seconds."""
+    """A fault at one moment of a command, counted in its writing calls or in seconds."""
 
     kind: str
     """full, read-only, vanished, kill, size (no file may grow beyond `at` bytes) or late (killed

@@ -24,14 +24,14 @@ _LEAST_DISK = 1e9
 
 
 class Finding(NamedTuple):
-    """What one look found."""
+    """One thing that was looked at."""
 
     part: str
     """The part of the installation: python, packages, engines, rendering, ..."""
     name: str
     found: str
     remedy: str = ""
-    """What to do; empty if nothing is wrong."""
+    """The thing to do; empty if nothing is wrong."""
 
 
 def doctor(*, json: Path | None = None) -> None:

@@ -51,9 +51,13 @@ def validate(
     from backends.cosserat.reference import MATERIALS, first, read_shapes
     from cdcsr.errors import CdcsrError
     from cdcsr.files import write_json
+    from cdcsr.simulation.arguments import check_count
 
-    if shapes < 1 or not links or min(links) < 1:
-        raise CdcsrError("shapes and links must be at least 1.")
+    check_count("The number of shapes", shapes, 500)
+    for count in links:
+        check_count("A number of links", count, 500)
+    if not links:
+        raise CdcsrError("Give at least one number of links, as in --links 12 25.")
     chosen = MATERIALS if material == "all" else (material,)
     known = {name: first(read_shapes(folder, name), shapes) for name in chosen}
     fits = {name: _rests(name, links, known[name], backend) for name in chosen}

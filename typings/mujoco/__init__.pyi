@@ -2,6 +2,7 @@
 # MuJoCo 3.17; a test checks that each name is there. What is missing here is an error to a type
 # checker: add it.
 
+from collections.abc import Sequence
 from typing import ClassVar, Self
 
 import numpy as np
@@ -109,8 +110,13 @@ class MjStatistic:
 class _Headlight:
     ambient: _Vector
 
+class _Global:
+    offwidth: int
+    offheight: int
+
 class MjVisual:
     headlight: _Headlight
+    global_: _Global
 
 class _MjsElement:
     name: str
@@ -279,6 +285,7 @@ class MjModel:
     ntendon: int
     opt: MjOption
     stat: MjStatistic
+    vis: MjVisual
     dof_armature: _Floats
     tendon_length0: _Floats
     tendon_range: _Floats
@@ -347,7 +354,23 @@ class MjvCamera:
     elevation: float
     def __init__(self) -> None: ...
 
+class MjvGeom: ...
+
+class MjvScene:
+    ngeom: int
+    geoms: Sequence[MjvGeom]
+
+def mjv_initGeom(
+    geom: MjvGeom,
+    type: mjtGeom,
+    size: NDArray[np.float64],
+    pos: NDArray[np.float64],
+    mat: NDArray[np.float64],
+    rgba: NDArray[np.float32],
+) -> None: ...
+
 class Renderer:
+    scene: MjvScene
     def __init__(self, model: MjModel, height: int = 240, width: int = 320) -> None: ...
     def update_scene(self, data: MjData, camera: int | str | MjvCamera = -1) -> None: ...
     def render(self) -> NDArray[np.uint8]: ...

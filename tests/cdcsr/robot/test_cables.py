@@ -18,7 +18,8 @@ def robot(request: pytest.FixtureRequest) -> Robot:
 def random_state(robot: Robot, seed: int, shape: tuple[int, ...] = ()) -> tuple[Array, Array]:
     """Return travel in [m] and hinge angles in [rad] that the robot can reach."""
     random = np.random.default_rng(seed)
-    travel = random.uniform(-0.05, 0.05, (*shape, robot.num_cables))
+    room = min(0.05, *(servo.stop for servo in robot.servos))
+    travel = random.uniform(-room, room, (*shape, robot.num_cables))
     return travel, random.uniform(-0.8, 0.8, (*shape, robot.num_hinges))
 
 

@@ -114,5 +114,5 @@ def test_broken_data_is_refused(tmp_path: Path) -> None:
         release.write_text(text.replace(" ", "\t"))
         with pytest.raises(CdcsrError, match=message):
             validate("cosserat", tmp_path, material="tpu", links=(6,))
-    with pytest.raises(CdcsrError, match="shapes and links must be at least 1"):
+    with pytest.raises(CdcsrError, match="Give at least one number of links"):
         validate("cosserat", tmp_path, links=())
