@@ -128,6 +128,7 @@ def _draw_arm(axes: Axes3D, robot: Robot) -> None:
 
 def _add_axes(figure: Figure, place: SubplotSpec) -> Axes3D:
     axes = figure.add_subplot(place, projection="3d")
+    axes.patch.set_visible(False)  # it would cover labels of the panel to the left
     assert isinstance(axes, Axes3D)
     axes.view_init(_ELEVATION, _AZIMUTH)
     for axis in (axes.xaxis, axes.yaxis, axes.zaxis):
