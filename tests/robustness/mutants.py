@@ -78,9 +78,13 @@ class Strip(ast.NodeTransformer):
         return node
 
 
-def meaning(code: str) -> str:
-    """Return a text that is the same for code that does the same but for its annotations."""
-    return ast.dump(Strip().visit(ast.parse(code)))
+def meaning(code: str) -> str | None:
+    """Return a text that is the same for code that does the same but for its annotations; None for
+    what is no Python."""
+    try:
+        return ast.dump(Strip().visit(ast.parse(code)))
+    except SyntaxError:
+        return None
 
 
 def mutants(package: str) -> Iterator[tuple[str, str, int]]:
@@ -104,7 +108,7 @@ def sample(package: str, num: int, seed: int) -> tuple[list[Mutant], int]:
             break
         code = (ROOT / file).read_text("utf-8")
         changed = mutate_code(code, get_operator(name)(), occurrence)
-        if changed is None or meaning(changed) == meaning(code):
+        if changed is None or meaning(changed) in (None, meaning(code)):
             continue
         pairs = zip(code.splitlines(), changed.splitlines(), strict=False)
         line = next((i for i, (a, b) in enumerate(pairs, 1) if a != b), 0)
