@@ -1,4 +1,5 @@
-# Needs only Python 3.11 or newer with venv and pip, and git. `make PYTHON=/path/to/python` picks the interpreter.
+# Needs only Python 3.11 or newer with venv and pip, and git. Another interpreter:
+# `make PYTHON=/path/to/python`.
 PYTHON ?= python3
 BIN := .venv/bin
 INSTALLED := .venv/.installed

@@ -16,6 +16,8 @@ from numpy.typing import NDArray
 from cdcsr.errors import CdcsrError, unknown_choice
 
 Array = NDArray[np.float64]
+Units = dict[str, tuple[int, int]]
+"""The powers of metres and seconds in the unit of each number."""
 MotionName = Literal["rest", "drift", "tumble", "line", "circle", "random"]
 
 
@@ -24,8 +26,8 @@ class Motion(ABC):
 
     size: int = 0
     """How many numbers the memory of a copy has."""
-    units: ClassVar[dict[str, tuple[int, int]]] = {}
-    """The powers of metres and seconds in the unit of each number."""
+    units: ClassVar[Units] = {}
+    """The units of the numbers of a motion."""
 
     def scaled(self, size: float, pace: float) -> Self:
         """Return the same motion with all lengths times `size` and all times times `pace`."""
@@ -72,7 +74,7 @@ class Rest(Motion):
 class Drift(Motion):
     """Move at a constant velocity in any direction, as debris that floats by."""
 
-    units = {"speed": (1, -1)}  # noqa: RUF012 (the base class says that it is one)
+    units: ClassVar[Units] = {"speed": (1, -1)}
     speed = 0.1
     """The largest speed, in [m/s]; speeds are uniform from zero."""
 
@@ -89,7 +91,7 @@ class Drift(Motion):
 class Line(Drift):
     """Move straight down at a constant speed, as in Fig. 6 of the BATD3 paper."""
 
-    units = {"slowest": (1, -1), "speed": (1, -1)}  # noqa: RUF012
+    units: ClassVar[Units] = {"slowest": (1, -1), "speed": (1, -1)}
     slowest, speed = 0.05, 0.1
     """The least and the largest speed, in [m/s]; speeds are uniform between them."""
 
@@ -121,7 +123,7 @@ class Tumble(Turning):
     """Move as a point on tumbling debris. The axis may have any direction, so the speed is at most
     radius times rate."""
 
-    units = {"radius": (1, 0), "rate": (0, -1)}  # noqa: RUF012
+    units: ClassVar[Units] = {"radius": (1, 0), "rate": (0, -1)}
     radius = (0.03, 0.1)
     """The least and the largest distance from the debris's centre, in [m]; uniform."""
     rate = (0.2, 1.0)
@@ -138,7 +140,7 @@ class Tumble(Turning):
 class Circle(Turning):
     """Move on a horizontal circle to the left or the right, starting anywhere on it."""
 
-    units = {"radius": (1, 0), "rate": (0, -1)}  # noqa: RUF012
+    units: ClassVar[Units] = {"radius": (1, 0), "rate": (0, -1)}
     radius = (0.03, 0.06)
     """The least and the largest radius, in [m]; uniform."""
     rate = 2.5
@@ -160,7 +162,7 @@ class Wander(Motion):
     After the last one the first follows; a Follow episode of the usual length ends before that.
     """
 
-    units = {  # noqa: RUF012
+    units: ClassVar[Units] = {
         **{"hold": (0, 1), "acceleration": (1, -2)},
         **{"spring": (0, -2), "damper": (0, -1)},
     }
