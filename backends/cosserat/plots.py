@@ -51,7 +51,7 @@ def draw(
         axes.xaxis.set_minor_formatter(NullFormatter())
         axes.set_title("Shapes at rest")
         axes.grid()
-        axes.legend(fontsize=8)
+        axes.legend(fontsize=8, loc="lower left")
         if moving:
             release, ours, stacked = moving
             seconds = release.interval * np.arange(len(release.tip))
