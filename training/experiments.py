@@ -33,6 +33,7 @@ def experiments(
     only: str = "*",
     list: bool = False,
     pack: bool = False,
+    shipped: bool = False,
     json: Path | None = None,
 ) -> None:
     """Run experiments: grids of training runs and their evaluations, each run in its own process.
@@ -53,6 +54,8 @@ def experiments(
         only: do only the runs whose names fit this pattern, such as "batd3-*_s0".
         list: show what would be done, and do nothing.
         pack: move the finished runs of the working folder into the store, and do nothing else.
+        shipped: measure the shipped policies in every engine and space into the store, write the
+            results into their cards, and do nothing else.
         json: also write to this file what became of each run.
     """
     from cdcsr.errors import CdcsrError
@@ -62,6 +65,9 @@ def experiments(
 
     if pack:
         print(f"{results_store.pack(results, store)} runs packed from {results} into {store}")
+        return
+    if shipped:
+        _measure_shipped(store)
         return
     chosen = _chosen(names, list, executor, address, jobs)
     amounts = BUDGETS[budget]
@@ -88,6 +94,16 @@ def experiments(
     if json is not None:
         write_json(json, {"experiments": chosen, "budget": budget, **vars(outcome)})
     _conclude(outcome, len(wanted))
+
+
+def _measure_shipped(store: Path) -> None:
+    from training.policy import shipped_policies
+    from training.study.execute.shipped import measure_shipped
+    from training.study.report.shipped_policies import write_card
+
+    print(f"{measure_shipped(store)} cells measured into {store}")
+    for folder in shipped_policies().values():
+        write_card(folder, store)
 
 
 def _conclude(outcome: Outcome, wanted: int) -> None:

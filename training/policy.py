@@ -222,6 +222,12 @@ def _check_size(hidden: list[int], size: int) -> None:
         raise ValueError(f"hidden layers {str(hidden)[:60]} for weights of {size} bytes")
 
 
+def shipped_policies() -> dict[str, Path]:
+    """Return the folders of the policies that come with the package, by name."""
+    folder = Path(str(resources.files("models"))) / "policies"
+    return {path.parent.name: path.parent for path in sorted(folder.glob(f"*/{_CARD}"))}
+
+
 def find_policy(name: str, others: Iterable[str] = ()) -> Policy:
     """Find a policy by its folder, by the folder of its run, or by the name of a shipped one.
 
@@ -232,17 +238,12 @@ def find_policy(name: str, others: Iterable[str] = ()) -> Policy:
     Raises:
         CdcsrError: there is none, or it is damaged.
     """
-    shipped = Path(str(resources.files("models"))) / "policies"
-    if not Path(name).exists() and (shipped / name / _CARD).is_file():
-        return load_policy(shipped / name)
+    shipped = shipped_policies()
+    if not Path(name).exists() and name in shipped:
+        return load_policy(shipped[name])
     if not Path(name).exists():
-        names = (
-            [path.name for path in shipped.iterdir() if (path / _CARD).is_file()]
-            if shipped.is_dir()
-            else []
-        )
         raise CdcsrError(
-            unknown_choice("policy", name, [*names, *others])
+            unknown_choice("policy", name, [*shipped, *others])
             + " Or give the folder of a policy or a run."
         )
     return load_policy(Path(name))

@@ -35,11 +35,11 @@ from training.study.parquet import (
 
 Convert = Callable[[str], object]
 _Table = Mapping[str, Sequence[object] | NDArray[np.generic]]
-_Files = dict[str, bytes | None]
+Files = dict[str, bytes | None]
 """Contents of files by name; None for a file that is not there."""
 _KINDS = "*.parquet", "*.jsonl"
 
-RECORDS, RECORD = "runs.jsonl", "run.json"
+RECORDS, RECORD, SHIPPED = "runs.jsonl", "run.json", "shipped.jsonl"
 METRICS, FOLLOW = "metrics", "follow"
 EPISODE_KINDS: dict[str, Convert] = {
     "backend": str,
@@ -119,11 +119,11 @@ def pack(work: Path, store: Path) -> int:
     files = _store(runs) | _pack_searches(work, store)
     sweeps = {path.stem: path for path in work.glob("*.csv")}
     files["sweeps.parquet"] = _pack_named(store / "sweeps.parquet", sweeps)
-    _write(store, files)
+    write_files(store, files)
     return len(new)
 
 
-def _pack_searches(work: Path, store: Path) -> _Files:
+def _pack_searches(work: Path, store: Path) -> Files:
     found = {path.parent.name: path for path in work.glob("*/search.json")}
     path = store / "searches.jsonl"
     options = {str(record["name"]): record for record in read_lines(path)} if path.is_file() else {}
@@ -158,10 +158,10 @@ def write_store(folder: Path, runs: Mapping[str, StoredRun]) -> None:
     Raises:
         CdcsrError: a file cannot be written.
     """
-    _write(folder, _store(runs))
+    write_files(folder, _store(runs))
 
 
-def _write(folder: Path, files: _Files) -> None:
+def write_files(folder: Path, files: Files) -> None:
     """Write the files of a store with their checksums; delete those that have become empty."""
     there = {name: data for name, data in files.items() if data is not None}
     # Other files of the store, such as those that this command does not make, stay.
@@ -175,9 +175,9 @@ def _write(folder: Path, files: _Files) -> None:
         (folder / name).unlink(missing_ok=True)
 
 
-def _store(runs: Mapping[str, StoredRun]) -> _Files:
+def _store(runs: Mapping[str, StoredRun]) -> Files:
     """Return the files of a store by name."""
-    files: _Files = {}
+    files: Files = {}
     names = sorted(runs)
     episodes = [
         {"run": [name] * len(columns["episode"]), "evaluation": [one] * len(columns["episode"])}

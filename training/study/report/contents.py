@@ -20,6 +20,7 @@ from training.study.report.learning_curves import Figures, curve_figures
 from training.study.report.nearness import nearness, nearness_figures
 from training.study.report.plant_plots import follow_figures, plant_figures
 from training.study.report.records import Run
+from training.study.report.shipped_policies import shipped
 from training.study.report.tables import (
     ablation,
     comparison,
@@ -59,7 +60,7 @@ TABLES: tuple[Callable[[Sequence[Run]], Table], ...] = (
     nearness,
 )
 """The other tables of the study's runs."""
-STORED_TABLES: tuple[Callable[[Path], Table], ...] = (searches,)
+STORED_TABLES: tuple[Callable[[Path], Table], ...] = (searches, shipped)
 """Tables of what other commands stored in the folder of the results."""
 FIGURES: tuple[Callable[[Sequence[Run], Path], Figures], ...] = (
     curve_figures,
