@@ -4,6 +4,12 @@ from __future__ import annotations
 
 from collections import Counter
 from pathlib import Path
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from cdcsr.robot.description import Robot
+    from cdcsr.robot.scale import Scale
+    from controllers.controller import Controller
 
 
 def transfer(
@@ -45,65 +51,95 @@ def transfer(
         json: also write the results, each episode included, to this file.
         plot: also draw which targets are reached, in a panel for each cell, to this PNG.
     """
-    from cdcsr.errors import CdcsrError
     from cdcsr.robot.description import load_robot
     from cdcsr.tasks.spaces import SPACES
-    from training.commands.measured import find_controller, report_cells, robot_of, set_threads
+    from training.commands.measured import find_controller, report_cells, set_threads
     from training.policy import Policy
 
     set_threads()
-    if not policies:
-        raise CdcsrError("No policy is given; name at least one folder of a policy or a run.")
-    if len(set(policies)) < len(policies):
-        raise CdcsrError(f"A controller is given twice: {', '.join(policies)}; name each once.")
+    _check_names(policies)
     asked = load_robot(robot or "paper")
     controllers = [find_controller(name, asked) for name in policies]
     learned = [one for one in controllers if one.space is not None]
-    robots = [robot_of(one, asked, robot is not None) for one in learned] or [asked]
-    if len({one.fingerprint for one in robots}) > 1:
-        raise CdcsrError(
-            f"The policies are for different robots ({', '.join(one.name for one in robots)}); "
-            "measure those of each robot by themselves."
-        )
-    if robots[0].fingerprint != asked.fingerprint:  # scripted controllers act on that robot too
+    acted_on = _one_robot(learned, asked, robot is not None)
+    if acted_on.fingerprint != asked.fingerprint:  # scripted controllers act on that robot too
         controllers = [
-            one if one.space is not None else find_controller(name, robots[0])
+            one if one.space is not None else find_controller(name, acted_on)
             for name, one in zip(policies, controllers, strict=True)
         ]
     names = Counter(one.name for one in controllers)
     for path, one in zip(policies, controllers, strict=True):
         if names[one.name] > 1:  # such as runs with the same options in different folders
             one.name = f"{one.name} ({path})"
-    tasks = [task] if task else sorted({one.task for one in learned}) or ["reach"]
-    if len(tasks) > 1:
-        raise CdcsrError(
-            f"The policies were trained for different tasks ({', '.join(tasks)}); "
-            "choose one with --task."
-        )
-    starts: list[str] = [start] if start else sorted({one.start for one in learned})
-    if len(starts) > 1:
-        raise CdcsrError(
-            f"The policies were trained from different starts ({', '.join(starts)}); "
-            "choose one with --start."
-        )
-    scales = [one.robot.scale for one in learned if isinstance(one, Policy)]
-    if any(scale != scales[0] for scale in scales):
-        raise CdcsrError(
-            "The policies were trained with different numbers of the task (threshold, seconds, "
-            "radius or [scale]); evaluate them one by one."
-        )
-    spaces: list[str] = [*SPACES] if space == "all" else [space]
+    _check_scales([one.robot.scale for one in learned if isinstance(one, Policy)])
     report_cells(
         controllers,
-        robots[0],
+        acted_on,
         backend,
-        spaces,
+        [*SPACES] if space == "all" else [space],
         episodes,
         seed,
         json,
         plot,
         None,
-        tasks[0],
-        starts[0] if starts else "still",
+        task or _agreed([one.task for one in learned], "for different tasks", "--task") or "reach",
+        start
+        or _agreed([one.start for one in learned], "from different starts", "--start")
+        or "still",
         (threshold, seconds, radius),
     )
+
+
+def _check_names(policies: list[str]) -> None:
+    """Check that controllers are named, each once."""
+    from cdcsr.errors import CdcsrError
+
+    if not policies:
+        raise CdcsrError("No policy is given; name at least one folder of a policy or a run.")
+    if len(set(policies)) < len(policies):
+        raise CdcsrError(f"A controller is given twice: {', '.join(policies)}; name each once.")
+
+
+def _one_robot(learned: list[Controller], asked: Robot, named: bool) -> Robot:
+    """Return the robot of all policies, or the one asked for if there is no policy.
+
+    Raises:
+        CdcsrError: the policies are for different robots, or for another than the one asked for.
+    """
+    from cdcsr.errors import CdcsrError
+    from training.commands.measured import robot_of
+
+    robots = [robot_of(one, asked, named) for one in learned] or [asked]
+    if len({one.fingerprint for one in robots}) > 1:
+        raise CdcsrError(
+            f"The policies are for different robots ({', '.join(one.name for one in robots)}); "
+            "measure those of each robot by themselves."
+        )
+    return robots[0]
+
+
+def _agreed(values: list[str], differ: str, option: str) -> str | None:
+    """Return what all policies were trained with; None if there is no policy.
+
+    Raises:
+        CdcsrError: they were trained with several; the option chooses one.
+    """
+    from cdcsr.errors import CdcsrError
+
+    found = sorted(set(values))
+    if len(found) > 1:
+        raise CdcsrError(
+            f"The policies were trained {differ} ({', '.join(found)}); choose one with {option}."
+        )
+    return found[0] if found else None
+
+
+def _check_scales(scales: list[Scale]) -> None:
+    """Check that all policies were trained with the same numbers of the task."""
+    from cdcsr.errors import CdcsrError
+
+    if any(scale != scales[0] for scale in scales):
+        raise CdcsrError(
+            "The policies were trained with different numbers of the task (threshold, seconds, "
+            "radius or [scale]); evaluate them one by one."
+        )

@@ -42,21 +42,14 @@ def workspace(
         plot: also draw the map into this PNG file.
         json: also write the summary to this file.
     """
-    from cdcsr.errors import CdcsrError
-    from cdcsr.files import refuse_unwritable, write_json
+    from cdcsr.files import write_json
     from cdcsr.robot.description import load_robot
     from cdcsr.robot.ruler import ruler
     from cdcsr.simulation.arguments import check_number
     from cdcsr.tasks.feasible import adjusted
     from controllers.workspace import compute_workspace, draw_workspace
 
-    if out.suffix != ".npz":
-        raise CdcsrError(f"A map is an .npz file, not {out.name!r}.")
-    if plot is not None and plot.suffix != ".png":
-        raise CdcsrError(f"The picture of a map is a .png file, not {plot.name!r}.")
-    for path in (out, plot):
-        if path is not None:
-            refuse_unwritable(path)
+    _check_outputs(out, plot)
     description = adjusted(load_robot(robot), "reach", [], threshold, seconds)
     spacing = ruler(description).spacing if spacing is None else spacing
     frame_skip = 5 * ruler(description).frame_skip if frame_skip is None else frame_skip
@@ -90,3 +83,17 @@ def workspace(
             **counts,
         }
         write_json(json, {**summary, "cells": len(found.cells)})
+
+
+def _check_outputs(out: Path, plot: Path | None) -> None:
+    """Check before the work that its files have the right ending and can be written."""
+    from cdcsr.errors import CdcsrError
+    from cdcsr.files import refuse_unwritable
+
+    if out.suffix != ".npz":
+        raise CdcsrError(f"A map is an .npz file, not {out.name!r}.")
+    if plot is not None and plot.suffix != ".png":
+        raise CdcsrError(f"The picture of a map is a .png file, not {plot.name!r}.")
+    for path in (out, plot):
+        if path is not None:
+            refuse_unwritable(path)
