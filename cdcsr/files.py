@@ -12,19 +12,21 @@ import os
 import stat
 import sys
 from collections.abc import Iterator, Mapping
-from contextlib import ExitStack, contextmanager, suppress
+from contextlib import contextmanager, suppress
 from functools import cache
 from pathlib import Path
 from typing import Any
 
 from cdcsr.errors import CdcsrError, cannot_write
-from cdcsr.leftovers import check_depth, make_folder, sweep, temporary_beside
+from cdcsr.leftovers import check_depth, make_folder, remove, sweep, temporary_beside
 from cdcsr.reading import MOST_RECORD, digest, read_text
 
 JsonObject = dict[str, Any]
 """An object read from JSON; whoever reads it knows its values."""
 SEAL = "content_digest"
 """The key of a record's digest."""
+_TOGETHER, _GONE = ".cdcsr-together", ".gone"
+"""The hidden folder of files that belong together, and the end of names that are to be deleted."""
 
 
 def write_bytes(path: Path, data: bytes) -> None:
@@ -49,19 +51,60 @@ def write_bytes(path: Path, data: bytes) -> None:
         temporary.write_bytes(data)
 
 
-def write_together(files: Mapping[Path, bytes]) -> None:
-    """Write files that belong together: all of them, or none if one cannot be written.
+def write_together(folder: Path, files: Mapping[str, bytes | None]) -> None:
+    """Write files of one folder that belong together: all or none, also if the process is killed.
+
+    They are written into a hidden folder first. Its renaming decides; after that, whoever calls
+    :func:`finish_together` moves what a killed process has left there.
+
+    Args:
+        folder: where they belong.
+        files: their contents by name; None deletes a file.
 
     Raises:
         CdcsrError: a file cannot be written.
     """
-    with ExitStack() as renamed:  # all of them at the end, when nothing is left to be written
-        for path, data in files.items():
-            temporary = renamed.enter_context(replacing(path))
-            try:
-                temporary.write_bytes(data)
-            except OSError as error:
-                raise cannot_write(path, error) from None
+    finish_together(folder)
+    temporary = temporary_beside(folder / _TOGETHER)
+    try:
+        make_folder(folder)
+        sweep(folder)
+        temporary.mkdir()
+        for name, data in files.items():
+            place = folder / name
+            if place.exists():
+                _refuse_protected(place)
+            path = temporary / (name if data is not None else name + _GONE)
+            path.write_bytes(data or b"")
+            if place.exists():
+                path.chmod(stat.S_IMODE(place.stat().st_mode))
+        temporary.rename(folder / _TOGETHER)
+    except OSError as error:
+        raise cannot_write(folder, error) from None
+    finally:
+        remove(temporary)
+    finish_together(folder)
+
+
+def finish_together(folder: Path) -> None:
+    """Move the files to their places that a killed :func:`write_together` had decided to write.
+
+    Raises:
+        CdcsrError: one cannot be moved.
+    """
+    try:
+        for path in [*(folder / _TOGETHER).glob("*")]:
+            place = Path(os.path.realpath(folder / path.name.removesuffix(_GONE)))
+            with suppress(FileNotFoundError):  # another process moves them too
+                if path.name.endswith(_GONE):
+                    place.unlink(missing_ok=True)
+                    path.unlink()
+                else:
+                    path.replace(place)
+        with suppress(FileNotFoundError):
+            (folder / _TOGETHER).rmdir()
+    except OSError as error:
+        raise cannot_write(folder, error) from None
 
 
 @contextmanager

@@ -13,7 +13,7 @@ from pathlib import Path
 
 from cdcsr.errors import CdcsrError, cannot_write
 from cdcsr.files import read_json, sealed, write_json
-from cdcsr.leftovers import remove, sweep, temporary_beside
+from cdcsr.leftovers import check_depth, remove, sweep, temporary_beside
 from cdcsr.locks import Busy, lock, release_dead_locks
 
 _MARKER = ".cdcsr"
@@ -38,7 +38,7 @@ def new_folder(path: Path, kind: str, force: bool) -> Iterator[Path]:
     """
     try:
         place = path.resolve()
-    except (OSError, RuntimeError) as error:  # links that run in a circle are a RuntimeError
+    except (OSError, RuntimeError, ValueError) as error:  # links in a circle, a zero byte
         raise cannot_write(path, OSError(str(error))) from None
     with _claimed(path, place):
         temporary = temporary_beside(place)
@@ -148,6 +148,7 @@ class WorkingFolder:
         """
         record = folder / self.record
         try:
+            check_depth(folder)
             there, empty = record.is_file(), _looks_empty(folder)
         except OSError as error:
             raise cannot_write(folder, error) from None

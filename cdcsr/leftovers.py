@@ -41,11 +41,13 @@ def make_folder(path: Path) -> None:
 
 
 def check_depth(path: Path) -> None:
-    """Check that a path leads through at most 256 folders.
+    """Check that a path leads through at most 256 folders, and has no zero byte.
 
     Raises:
-        OSError: it leads through more.
+        OSError: it leads through more, or has one.
     """
+    if "\0" in str(path):
+        raise OSError(errno.EINVAL, "it has a zero byte")
     if len(path.parts) > _DEEPEST:
         raise OSError(errno.ENAMETOOLONG, f"it leads through {len(path.parts)} folders")
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import os
 import re
 import stat
 from pathlib import Path
@@ -38,6 +39,24 @@ def check_file(path: Path, most: int, what: str = "file") -> None:
             f"Cannot read the {what} {path}: it has {found.st_size:,} bytes, and at most {most:,} "
             "are allowed."
         )
+
+
+def exists(path: Path | str) -> bool:
+    """Return whether something is at a path; nothing is at what can be no path.
+
+    `Path.exists` raises an OSError for a name of more than 255 characters.
+    """
+    return os.path.exists(path)  # noqa: PTH110
+
+
+def is_file(path: Path | str) -> bool:
+    """Return whether an ordinary file is at a path; see :func:`exists`."""
+    return os.path.isfile(path)  # noqa: PTH113
+
+
+def is_folder(path: Path | str) -> bool:
+    """Return whether a folder is at a path; see :func:`exists`."""
+    return os.path.isdir(path)  # noqa: PTH112
 
 
 def read_bytes(path: Path, most: int, what: str = "file") -> bytes:

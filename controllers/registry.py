@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cdcsr.errors import CdcsrError, unknown_choice
+from cdcsr.reading import exists
 from cdcsr.robot.description import Robot
 from cdcsr.robot.ruler import ruler
 from cdcsr.simulation.contract import State
@@ -47,7 +48,7 @@ def scripted_controller(name: str, robot: Robot) -> Controller | None:
     before, colon, after = name.partition(":")
     if before == Nearest.name and after:
         return Nearest(robot, load(Path(after), robot.fingerprint, ruler(robot).frame_skip))
-    if colon and not Path(name).exists():
+    if colon and not exists(name):
         return load_controller(name, robot)
     return None
 

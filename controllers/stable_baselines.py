@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cdcsr.errors import CdcsrError
+from cdcsr.reading import MOST_TABLE, check_file
 from cdcsr.simulation.contract import State
 from cdcsr.tasks.observation import observation_size, observe
 from controllers.controller import Conditions, Controller, Target
@@ -69,8 +70,7 @@ class StableBaselines(Controller):
 
 
 def _load(path: Path) -> BaseAlgorithm:
-    if not path.is_file():
-        raise CdcsrError(f"There is no file {path}.")
+    check_file(path, MOST_TABLE, "policy")
     try:
         import stable_baselines3
     except ImportError:
@@ -79,6 +79,7 @@ def _load(path: Path) -> BaseAlgorithm:
             "run: pip install stable-baselines3"
         ) from None
     try:
+        _check_size(path)
         algorithm = _algorithm(path)
         return getattr(stable_baselines3, algorithm).load(path, device="cpu")
     # The file runs its own code, which may fail in any way.
@@ -88,6 +89,23 @@ def _load(path: Path) -> BaseAlgorithm:
             f"{path} holds no policy of stable-baselines3 (SAC, TD3, DDPG or PPO): "
             f"{type(error).__name__}: {reason}"
         ) from None
+
+
+def _check_size(path: Path) -> None:
+    """Check how much an archive, and those of PyTorch in it, unpack to, before anything does.
+
+    Raises:
+        ValueError: it is more than is allowed.
+        Exception: it is no archive.
+    """
+    with zipfile.ZipFile(path) as archive:
+        left = MOST_TABLE - sum(member.file_size for member in archive.infolist())
+        for name in archive.namelist() if left >= 0 else ():
+            if name.endswith(".pth"):
+                with archive.open(name) as file, zipfile.ZipFile(file) as inner:
+                    left -= sum(member.file_size for member in inner.infolist())
+    if left < 0:
+        raise ValueError(f"it unpacks to more than {MOST_TABLE:,} bytes")
 
 
 def _algorithm(path: Path) -> str:

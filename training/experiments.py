@@ -71,7 +71,7 @@ def experiments(
         return
     chosen = _chosen(names, list, executor, address, jobs)
     amounts = BUDGETS[budget]
-    stored = results_store.read_results(store) if (store / results_store.RECORDS).is_file() else {}
+    stored = results_store.read_store(store)
     wanted = _jobs(chosen, amounts, only)
     if list:
         _show(chosen, wanted, amounts, results, stored, named=bool(names))

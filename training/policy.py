@@ -25,7 +25,7 @@ from safetensors.torch import load, save
 
 from cdcsr.errors import CdcsrError, unknown_choice
 from cdcsr.files import JsonObject, note, read_json, sealed, write_bytes, write_json
-from cdcsr.reading import MOST_TABLE, digest, read_bytes
+from cdcsr.reading import MOST_TABLE, digest, exists, is_file, read_bytes
 from cdcsr.robot.description import Robot, differences, parse_robot
 from cdcsr.simulation.contract import State
 from cdcsr.tasks.observation import observe
@@ -145,7 +145,7 @@ def load_policy(folder: Path) -> Policy:
     Raises:
         CdcsrError: there is no policy, or its files are damaged or do not fit each other.
     """
-    if not (folder / _CARD).is_file() or not (folder / _WEIGHTS).is_file():
+    if not is_file(folder / _CARD) or not is_file(folder / _WEIGHTS):
         raise CdcsrError(
             f"{folder} holds no policy: {_CARD} and {_WEIGHTS} are needed (made by `cdcsr train`)."
         )
@@ -239,9 +239,9 @@ def find_policy(name: str, others: Iterable[str] = ()) -> Policy:
         CdcsrError: there is none, or it is damaged.
     """
     shipped = shipped_policies()
-    if not Path(name).exists() and name in shipped:
+    if not exists(name) and name in shipped:
         return load_policy(shipped[name])
-    if not Path(name).exists():
+    if not exists(name):
         raise CdcsrError(
             unknown_choice("policy", name, [*shipped, *others])
             + " Or give the folder of a policy or a run."

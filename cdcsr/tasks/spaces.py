@@ -122,6 +122,17 @@ def anchor(robot: Robot) -> Anchor:
     return Anchor(robot.workspace.center, robot.workspace.size)
 
 
+def own_map(name: str, robot: Robot) -> dict[str, str]:
+    """Return the digest of a map that the user gave as a space, as the entry `map` of a record.
+
+    Another map may have the same name; the named spaces have no such entry.
+
+    Raises:
+        CdcsrError: there is no such map, or it is not of this robot.
+    """
+    return {"map": load_workspace(robot, Path(name)).digest} if name.endswith(".npz") else {}
+
+
 def make_space(name: str, robot: Robot, centers: Array | None = None) -> Space:
     """Return an operation space.
 

@@ -4,18 +4,28 @@ from __future__ import annotations
 
 import json
 import os
+import shutil
 import stat
 import subprocess
 import sys
 import threading
+from collections import Counter
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from cdcsr.errors import CdcsrError
-from cdcsr.files import refuse_unwritable, write_bytes, write_json, write_text
+from cdcsr.files import (
+    finish_together,
+    refuse_unwritable,
+    write_bytes,
+    write_json,
+    write_text,
+    write_together,
+)
 from cdcsr.leftovers import sweep, temporary_beside
+from tests.support.forked import Fault, forked
 from tests.support.paths import names
 
 
@@ -143,3 +153,31 @@ def test_what_dead_processes_left_is_swept_and_nothing_else(tmp_path: Path) -> N
     sweep(tmp_path)
     assert names(tmp_path) == sorted([alive.name, elsewhere.name, ".cdcsr-notes"])
     sweep(tmp_path / "no folder")
+
+
+def test_files_that_belong_together_are_all_new_or_all_old_whenever_they_are_killed(
+    tmp_path: Path,
+) -> None:
+    old = {"a": b"old a", "b": b"old b", "gone": b"old"}
+    new = {"a": b"new a", "b": b"new b", "gone": None, "c": b"new c"}
+    folder, number, found = tmp_path / "place", 0, Counter[bool]()
+    while True:
+        number += 1
+        shutil.rmtree(folder, ignore_errors=True)
+        write_together(folder, old)
+        (folder / "b").chmod(0o640)
+        fault = Fault("kill", number)
+        outcome = forked(lambda: write_together(folder, new), folder, fault)
+        finish_together(folder)
+        there = {path.name: path.read_bytes() for path in folder.glob("[a-z]*")}
+        whole = there == {"a": b"new a", "b": b"new b", "c": b"new c"}
+        assert whole or there == old, (number, there)
+        assert stat.S_IMODE((folder / "b").stat().st_mode) == 0o640
+        found[whole] += 1
+        if outcome.code == 0:
+            break
+        assert outcome.code == -9
+    assert found[False] >= 10  # before the folder with the new files has its name
+    assert found[True] >= 8  # four places, the mark of the one that goes, the folder, and the end
+    write_together(folder, {"a": b"newest"})
+    assert names(folder) == ["a", "b", "c"]

@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 import sys
 import warnings
+import zipfile
 from pathlib import Path
 
 import gymnasium
@@ -16,6 +17,7 @@ from cdcsr import cli
 from cdcsr.envs.gym_env import TaskVectorEnv
 from cdcsr.errors import CdcsrError
 from cdcsr.robot.description import load_robot
+from controllers import stable_baselines
 from controllers.rollout import rollout
 from controllers.stable_baselines import StableBaselines
 
@@ -65,11 +67,25 @@ def test_bad_files_and_a_missing_package_are_one_line(
     broken.write_bytes(b"not a zip")
     with pytest.raises(CdcsrError, match="holds no policy of stable-baselines3"):
         StableBaselines(broken)
-    with pytest.raises(CdcsrError, match="There is no file"):
+    with pytest.raises(CdcsrError, match=r"Cannot read the policy .*: No such file"):
         StableBaselines(tmp_path / "nothing.zip")
     monkeypatch.setitem(sys.modules, "stable_baselines3", None)
     with pytest.raises(CdcsrError, match="pip install stable-baselines3"):
         StableBaselines(broken)
+
+
+def test_a_bomb_is_not_opened(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(stable_baselines, "MOST_TABLE", 1_000_000)
+    inner, zeros = tmp_path / "inner.pth", bytes(2_000_000)
+    with zipfile.ZipFile(inner, "w", zipfile.ZIP_DEFLATED) as archive:
+        archive.writestr("data.pkl", zeros)
+    for number, (name, content) in enumerate([("data", zeros), ("policy.pth", inner.read_bytes())]):
+        path = tmp_path / f"{number}.zip"
+        with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED) as archive:
+            archive.writestr(name, content)
+        assert path.stat().st_size < 10_000
+        with pytest.raises(CdcsrError, match="unpacks to more than 1,000,000 bytes"):
+            StableBaselines(path)
 
 
 def test_the_snippets_of_the_page_run(

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
+from contextlib import ExitStack
 from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -12,10 +14,18 @@ import pytest
 from cdcsr.envs.gym_env import TaskVectorEnv
 from cdcsr.envs.single_env import TaskEnv
 from cdcsr.errors import CdcsrError
+from cdcsr.files import read_json, refuse_unwritable, write_text
+from cdcsr.folders import new_folder
 from cdcsr.robot.description import load_robot
 from cdcsr.simulation.contract import Simulation
 from cdcsr.simulation.engines import backend_names, make_simulation
 from cdcsr.simulation.plant import Parameters
+from cdcsr.tasks.spaces import make_space
+from cdcsr.tasks.workspace_map import load_workspace
+from controllers.demonstrations import load
+from controllers.stable_baselines import StableBaselines
+from training.policy import find_policy, load_policy
+from training.study.store import read_results
 
 NUM = 3
 ROBOT = load_robot("planar-single")
@@ -181,6 +191,31 @@ def test_an_environment_refuses_wrong_calls(engine: str) -> None:
 
 def test_a_constructor_refuses_wrong_arguments() -> None:
     assert refused(constructor_misuses(), None) >= 40
+
+
+@pytest.mark.parametrize(
+    "path", ["x" * 256, "a\0b", "loop", "nothing", "/y" * 3000, "x" * 300 + ".npz", "/dev/zero"]
+)
+def test_what_can_be_no_path_is_one_line(
+    path: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    Path("loop").symlink_to("loop")
+    fitting, place = ROBOT.fingerprint, Path(path)
+    reading: list[Callable[[], object]] = [
+        *(lambda: find_policy(path), lambda: load_policy(place), lambda: load_robot(path)),
+        *(lambda: StableBaselines(path), lambda: load(place, fitting, 1)),
+        *(lambda: read_results(place), lambda: load_workspace(ROBOT, place)),
+        *(lambda: read_json(place), lambda: make_space(path, ROBOT)),
+    ]
+    writing = [
+        *(lambda: write_text(place / "a", ""), lambda: refuse_unwritable(place / "a")),
+        *(lambda: ExitStack().enter_context(new_folder(place / "a", "a thing", False)),),
+    ]
+    for call in reading + (writing if path != "nothing" else []):
+        with pytest.raises(CdcsrError):
+            call()
+    assert [each.name for each in tmp_path.iterdir()] == ["loop"]
 
 
 def test_one_robots_actions_have_the_shape_of_its_cables() -> None:

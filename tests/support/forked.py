@@ -18,7 +18,8 @@ from pathlib import Path
 
 from cdcsr import cli
 
-_EVENTS = {"os.rename": 2, "os.mkdir": 1, "os.link": 2}
+_FREEING = ("os.remove", "os.rmdir")
+_EVENTS = {"os.rename": 2, "os.mkdir": 1, "os.link": 2} | dict.fromkeys(_FREEING, 1)
 """Audit events of calls that change a folder, and how many of their arguments are paths."""
 
 
@@ -31,11 +32,12 @@ class Fault:
     after `at` seconds)."""
     at: float
 
-    def happen(self, count: int, folder: Path, renames: bool) -> None:
+    def happen(self, count: int, folder: Path, event: str) -> None:
         """Do what this is at the call of that number."""
         if count < self.at:
             return
-        if self.kind == "full" and not (renames and count > self.at):  # a full disk stays full
+        needs_room = event not in _FREEING and (event != "os.rename" or count == self.at)
+        if self.kind == "full" and needs_room:  # a full disk stays full
             raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
         if self.kind == "read-only":
             raise OSError(errno.EROFS, os.strerror(errno.EROFS))
@@ -125,7 +127,7 @@ class _Counter:
                 write = found.write
 
                 def counted(data: object) -> object:
-                    self._happen(False)
+                    self._happen("write")
                     return write(data)
 
                 return _Watched(found, counted)
@@ -143,19 +145,19 @@ class _Counter:
         else:
             paths = arguments[: _EVENTS.get(event, 0)]
         if any(map(self._is_ours, paths)):
-            self._happen(event == "os.rename")
+            self._happen(event)
 
     def _is_ours(self, path: object) -> bool:
         return isinstance(path, str | Path) and Path(path).is_relative_to(self._folder)
 
-    def _happen(self, renames: bool) -> None:
+    def _happen(self, event: str) -> None:
         if self._inside:
             return
         self.count += 1
         if self._fault is not None:
             self._inside = True
             try:
-                self._fault.happen(self.count, self._folder, renames)
+                self._fault.happen(self.count, self._folder, event)
             finally:
                 self._inside = False
 

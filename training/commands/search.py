@@ -207,6 +207,8 @@ class _Search:
 
     def identity(self) -> dict[str, object]:
         """Return what must be the same for a search to be resumed."""
+        from cdcsr.tasks.spaces import own_map
+
         one = self.disturbances
         noise = {name: getattr(one, name) for name in ("action_noise", "base_noise", "packet_loss")}
         identity: dict[str, object] = {
@@ -226,6 +228,7 @@ class _Search:
             identity["start"] = self.start
         if scale := self.robot.scale.model_dump(mode="json"):
             identity["scale"] = scale  # the same
+        identity |= own_map(self.space, self.robot)
         if any(noise.values()):
             # Older searches reported the tries that chose the plan; they cannot be resumed.
             identity["told"] = "by tries drawn anew"

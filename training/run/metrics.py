@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING
 
 from cdcsr.errors import CdcsrError, cannot_write
 from cdcsr.files import write_text
+from cdcsr.reading import exists
 from cdcsr.tables import csv_text, read_csv_rows
 
 if TYPE_CHECKING:
@@ -119,7 +120,7 @@ def read_metrics(path: Path) -> list[dict[str, float]]:
 
 def _rows(path: Path) -> list[dict[str, str]]:
     """The same, as they are written."""
-    if not path.exists():
+    if not exists(path):
         return []
     try:
         head, lines = read_csv_rows(path)

@@ -7,6 +7,7 @@ from pathlib import Path
 
 from cdcsr.errors import CdcsrError
 from cdcsr.folders import WorkingFolder
+from cdcsr.reading import exists
 from cdcsr.robot.description import Robot
 from cdcsr.robot.ruler import ruler
 from cdcsr.simulation.arguments import MOST_COPIES, check_count, check_number
@@ -115,7 +116,7 @@ class Train(RunDescription):
 
 def is_unfinished(folder: Path) -> bool:
     """Return whether a folder holds a run that was stopped before its end."""
-    return (folder / STATE).exists() and not (folder / SUMMARY).exists()
+    return exists(folder / STATE) and not exists(folder / SUMMARY)
 
 
 def train_options(
@@ -128,7 +129,9 @@ def train_options(
     )
 
 
-def read_older(found: dict[str, object], run: Train, path: Path) -> dict[str, object]:
+def read_older(
+    found: dict[str, object], run: Train, now: dict[str, object], path: Path
+) -> dict[str, object]:
     """Return the record of a run as this version would have written it.
 
     Older versions recorded every option of every algorithm. Options that this algorithm does not
@@ -137,6 +140,7 @@ def read_older(found: dict[str, object], run: Train, path: Path) -> dict[str, ob
     Args:
         found: the record.
         run: the run that is asked for.
+        now: its record; older ones have no digest of a map.
         path: of the record, for messages.
 
     Raises:
@@ -159,4 +163,5 @@ def read_older(found: dict[str, object], run: Train, path: Path) -> dict[str, ob
     for name in ("changes", "updates", "randomize", "demonstration_seed", "start"):
         del usual[name]
     preset = str(found.get("preset"))
+    usual |= {name: value for name, value in now.items() if name == "map"}
     return {**usual, **found, "preset": RENAMED.get(preset, preset), "learner": learner}

@@ -46,8 +46,9 @@ def train(config: Train) -> Policy:
     # Threads only slow small matrices down; seeds are run side by side instead.
     torch.set_num_threads(1)
     setup = Setup(config)
-    older = partial(read_older, run=config, path=config.out / RUN_FOLDER.record)
-    with RUN_FOLDER.claim(config.out, setup.identity(), older, config.force):
+    identity = setup.identity()
+    older = partial(read_older, run=config, now=identity, path=config.out / RUN_FOLDER.record)
+    with RUN_FOLDER.claim(config.out, identity, older, config.force):
         return Run(setup).carry_out()
 
 

@@ -12,7 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cdcsr.errors import CdcsrError
-from cdcsr.reading import MOST_TABLE, read_bytes, read_text
+from cdcsr.files import finish_together
+from cdcsr.reading import MOST_TABLE, exists, read_bytes, read_text
 
 if TYPE_CHECKING:
     import pyarrow as pa
@@ -74,7 +75,8 @@ def read_table(path: Path, wanted: Iterable[str] = ()) -> Columns:
     Raises:
         CdcsrError: the file is damaged, or lacks a column that is wanted.
     """
-    if not path.exists() and not is_summed(path):
+    finish_together(path.parent)
+    if not exists(path) and not is_summed(path):
         return {}
     data = read_summed(path)
     parquet = _parquet()
@@ -125,7 +127,7 @@ def read_summed(path: Path) -> bytes:
 def _read_sums(path: Path) -> dict[str, str] | None:
     """Return the checksums of the store that a file is in, or None if it has none."""
     file = path.with_name(SUMS)
-    if not file.exists():
+    if not exists(file):
         return None
     lines = [line.split(maxsplit=1) for line in read_text(file, "table of checksums").splitlines()]
     return {line[1]: line[0] for line in lines if len(line) == 2}

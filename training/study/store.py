@@ -20,8 +20,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cdcsr.errors import CdcsrError
-from cdcsr.files import read_json, write_together
-from cdcsr.reading import MOST_TABLE, read_bytes
+from cdcsr.files import finish_together, read_json, write_together
+from cdcsr.reading import MOST_TABLE, is_file, is_folder, read_bytes
 from cdcsr.tables import read_csv_rows
 from training.study.parquet import (
     DECIMALS,
@@ -88,13 +88,36 @@ def read_results(folder: Path) -> dict[str, StoredRun]:
     Raises:
         CdcsrError: there is no such folder, or a file in it is damaged.
     """
-    if not folder.is_dir():
+    if not is_folder(folder):
         raise CdcsrError(
             f"There is no folder {folder}; give the one that holds the study's runs with --results."
         )
-    if (folder / RECORDS).is_file():
-        return _read_store(folder)
-    return {path.parent.name: _read_run(path.parent) for path in sorted(folder.glob("*/run.json"))}
+    return read_store(folder) or {
+        path.parent.name: _read_run(path.parent) for path in sorted(folder.glob("*/run.json"))
+    }
+
+
+def read_store(folder: Path) -> dict[str, StoredRun]:
+    """Return all finished runs of a store by name; a folder that is none yet has no runs.
+
+    Raises:
+        CdcsrError: a file in it is damaged.
+    """
+    finish_together(folder)
+    path = folder / RECORDS
+    if not is_file(path):
+        return {}
+    runs = {
+        str(record.pop("name")): StoredRun(record, source=str(path)) for record in read_lines(path)
+    }
+    wanted = ("run", "evaluation", *EPISODE_KINDS)
+    for key, part in _split(folder / "episodes.parquet", wanted):
+        _of_run(runs, key[0], folder).evaluations[key[1]] = part
+    for key, part in _split(folder / "metrics.parquet", ("run", "update")):
+        _of_run(runs, key[0], folder).metrics = part
+    for key, part in _split(folder / "following.parquet", ("run", *FOLLOW_KINDS)):
+        _of_run(runs, key[0], folder).follow = part
+    return runs
 
 
 def pack(work: Path, store: Path) -> int:
@@ -102,14 +125,13 @@ def pack(work: Path, store: Path) -> int:
 
     Evaluations of a policy that the store knows are added to those it has. Results of another
     policy replace all that the store has of the run. Folders of `cdcsr search` and CSV files of
-    `cdcsr sweep` in the working folder are packed by their names. The working folder stays as it
-    is.
+    `cdcsr sweep` in the working folder are packed by their names. The working folder stays.
 
     Raises:
         CdcsrError: a folder is missing, or a file is damaged or cannot be written.
     """
     new = read_results(work)
-    runs = read_results(store) if (store / RECORDS).is_file() else {}
+    runs = read_store(store)
     for name, run in new.items():
         old = runs.get(name)
         if old is not None and old.record.get("policy") == run.record.get("policy"):
@@ -169,10 +191,8 @@ def write_files(folder: Path, files: Files) -> None:
     kept = {
         name: read_bytes(path, MOST_TABLE) for name, path in others.items() if name not in files
     }
-    written = {folder / name: data for name, data in there.items()}
-    write_together({**written, folder / SUMS: sums({**kept, **there})})
-    for name in files.keys() - there.keys():
-        (folder / name).unlink(missing_ok=True)
+    gone = {name: None for name, data in files.items() if data is None and name in others}
+    write_together(folder, {**there, **gone, SUMS: sums({**kept, **there})})
 
 
 def _store(runs: Mapping[str, StoredRun]) -> Files:
@@ -209,21 +229,6 @@ def _with_all_columns(parts: Sequence[_Table]) -> list[_Table]:
 
 def _of(name: str, columns: Columns, key: str = "run") -> _Table:
     return {key: [name] * len(next(iter(columns.values()))), **columns}
-
-
-def _read_store(folder: Path) -> dict[str, StoredRun]:
-    path = folder / RECORDS
-    runs = {
-        str(record.pop("name")): StoredRun(record, source=str(path)) for record in read_lines(path)
-    }
-    wanted = ("run", "evaluation", *EPISODE_KINDS)
-    for key, part in _split(folder / "episodes.parquet", wanted):
-        _of_run(runs, key[0], folder).evaluations[key[1]] = part
-    for key, part in _split(folder / "metrics.parquet", ("run", "update")):
-        _of_run(runs, key[0], folder).metrics = part
-    for key, part in _split(folder / "following.parquet", ("run", *FOLLOW_KINDS)):
-        _of_run(runs, key[0], folder).follow = part
-    return runs
 
 
 def read_lines(path: Path) -> list[dict[str, object]]:

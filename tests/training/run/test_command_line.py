@@ -140,14 +140,19 @@ def test_the_record_of_an_older_version_is_translated() -> None:
     retired = {"step_cost": 0.0, "target_choice": "softmax", "final_learning_rate": 1.0}
     older = {**now, "learner": {**learner, **retired, "softmax_temperature": 10.0}}
     del older["learner"]["hindsight"]  # type: ignore[attr-defined]
-    assert read_older(older, run, Path("config.json")) == now
+    assert read_older(older, run, now, Path("config.json")) == now
     paper = Train(out=Path("x"), algorithm="td3", preset="paper-reading")
     older = {**paper.identity(PAPER), "preset": "paper"}
-    assert read_older(older, paper, Path("config.json")) == paper.identity(PAPER)
+    assert read_older(older, paper, {}, Path("config.json")) == paper.identity(PAPER)
     assert "start" not in paper.identity(PAPER)  # so that older runs can be resumed
     moving = replace(paper, start="moving")
     assert moving.identity(PAPER)["start"] == "moving"
-    assert read_older(moving.identity(PAPER), moving, Path("config.json")) == moving.identity(PAPER)
+    now = moving.identity(PAPER)
+    assert read_older(now, moving, now, Path("config.json")) == now
+    mapped = {**now, "map": "0123456789abcdef"}  # of a map of the user's own
+    assert read_older(now, moving, mapped, Path("config.json")) == mapped
+    changed = {**now, "map": "another"}
+    assert read_older(changed, moving, mapped, Path("config.json")) == changed
     older["learner"] = {**learner, "step_cost": 0.004}
     with pytest.raises(CdcsrError, match=r"a run with step_cost = 0\.004, an option that this"):
-        read_older(older, run, Path("config.json"))
+        read_older(older, run, now, Path("config.json"))

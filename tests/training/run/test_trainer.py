@@ -20,6 +20,7 @@ from safetensors.torch import load_file
 from cdcsr.envs.gym_env import Info, TaskVectorEnv
 from cdcsr.errors import CdcsrError
 from cdcsr.robot.description import load_robot
+from cdcsr.tasks.workspace_map import load_workspace
 from tests.support.tiny import FRAME_SKIP, Options, tiny_changes
 from training.algorithms.bc import BehaviourCloning
 from training.commands.demonstrate import demonstrate
@@ -156,6 +157,19 @@ def test_a_run_with_another_dataset_under_the_same_name_is_refused(
     demonstrate(out=data, episodes=3, frame_skip=FRAME_SKIP, seed=1)
     with pytest.raises(CdcsrError, match=r"other options \(dataset\)"):
         train(_config(out, data, algorithm="bc"))
+
+
+def test_a_run_with_another_map_under_the_same_name_is_refused(
+    tmp_path: Path, demonstrations: Path
+) -> None:
+    path, out = tmp_path / "mine.npz", tmp_path / "run"
+    whole = load_workspace(PAPER)
+    whole.save(path)
+    train(_config(out, demonstrations, algorithm="bc", space=str(path)))
+    train(_config(out, demonstrations, algorithm="bc", space=str(path)))
+    dataclasses.replace(whole, cells=whole.cells[:-1]).save(path)
+    with pytest.raises(CdcsrError, match=r"other options \(map\)"):
+        train(_config(out, demonstrations, algorithm="bc", space=str(path)))
 
 
 @pytest.mark.parametrize(

@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 
 from cdcsr.errors import CdcsrError
+from tests.support.forked import Fault, forked
 from tests.support.small_study import HEAD, nominal, write_csv, write_run
 from training.study.parquet import SUMS, read_table
 from training.study.store import pack, read_results, write_store
@@ -125,6 +126,36 @@ def test_packing_is_all_or_nothing(
     with pytest.raises(CdcsrError, match=r"Cannot write .*: No space left on device"):
         pack(work, store)
     assert {path.name: path.read_bytes() for path in store.iterdir()} == before
+
+
+def test_a_kill_leaves_the_old_store_or_the_new_one(work: Path, tmp_path: Path) -> None:
+    def read(store: Path) -> tuple[object, ...]:
+        """Return the evaluations of each run, which runs were followed, and the searches."""
+        runs = read_results(store)
+        evaluations = {name: [*run.evaluations] for name, run in runs.items()}
+        followed = [name for name, run in runs.items() if run.follow is not None]
+        return evaluations, followed, read_table(store / "searches.parquet").keys()
+
+    old, store, other = tmp_path / "old", tmp_path / "store", tmp_path / "other"
+    pack(work, old)
+    record = write_run(other, "one", {"plants": [nominal("1")]}) / "run.json"
+    record.write_text(json.dumps({**json.loads(record.read_text()), "policy": "another"}))
+    shutil.copytree(old, store)
+    before, calls = read(store), forked(lambda: pack(other, store), store).calls
+    after = read(store)
+    assert before[1] == ["one"]
+    assert after[1] == []  # following.parquet is deleted: its only run has another policy
+    found = set[bool]()
+    for number in (calls // 2, calls - 6, calls - 1):  # tests of cdcsr.files do all of them
+        shutil.rmtree(store)
+        shutil.copytree(old, store)
+        outcome = forked(lambda: pack(other, store), store, Fault("kill", number))
+        assert outcome.code == -9
+        there = read(store)
+        assert there in (before, after)
+        found.add(there == after)
+        assert not (store / ".cdcsr-together").exists()
+    assert found == {False, True}
 
 
 def test_a_missing_column_is_named(work: Path, tmp_path: Path) -> None:
