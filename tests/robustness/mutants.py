@@ -1,47 +1,67 @@
 """Change one place of the code at a time, and see whether a test notices: `make mutants`.
 
 The changes are those of cosmic-ray. Of each package a random sample is taken, the same one for the
-same seed. It runs in a copy of the project, so the sources stay as they are. What no test can
-notice is left out: changes of annotations of functions, which are never evaluated.
+same seed. It runs in a copy of the project, so the sources stay as they are. The tests of a package
+run once under coverage; then each change gets the tests that run the changed line, quickest first,
+until one fails. Left out is what no test can notice, or what means nothing: changes of annotations
+that are never evaluated, of decorators, and of what only a type checker reads.
 """
 
 from __future__ import annotations
 
 import argparse
 import ast
+import compileall
+import contextlib
+import importlib
+import json
 import math
 import os
 import random
 import re
 import shutil
-import subprocess
+import signal
 import sys
 import tempfile
 import time
-from collections.abc import Iterator
+from collections import defaultdict
+from collections.abc import Callable, Iterator
 from pathlib import Path
+from py_compile import PycInvalidationMode
 from typing import NamedTuple
 
+import pytest
 from cosmic_ray.ast import ast_nodes, get_ast  # type: ignore[import-not-found]
 from cosmic_ray.mutating import mutate_code  # type: ignore[import-not-found]
 from cosmic_ray.plugins import get_operator, operator_names  # type: ignore[import-not-found]
+from coverage import Coverage
 
 ROOT = Path(__file__).parents[2]
+ENGINES = "tests/backends/contract tests/backends/physics/test_analytic.py "
 PACKAGES: dict[str, str] = {
-    "cdcsr/robot": "tests/cdcsr/robot tests/backends/export",
-    "cdcsr/tasks": "tests/cdcsr/tasks tests/cdcsr/envs",
-    "backends/mujoco": "tests/backends/mujoco tests/backends/contract",
-    "backends/pybullet": "tests/backends/pybullet tests/backends/contract",
-    "training/algorithms": "tests/training/algorithms",
-    "training/experience": "tests/training/experience tests/training/algorithms",
+    "cdcsr/robot": ENGINES + "tests/cdcsr/robot tests/backends/export tests/backends/mujoco "
+    "tests/training/commands/test_new_robot.py",
+    "cdcsr/tasks": "tests/cdcsr/tasks tests/cdcsr/envs tests/controllers/test_workspace.py",
+    "backends/mujoco": ENGINES + "tests/backends/mujoco tests/backends/export",
+    "backends/pybullet": ENGINES + "tests/backends/pybullet tests/backends/export",
+    "backends/export": "tests/backends/export",
+    "backends/parity": "tests/backends/parity",
+    "training/algorithms": "tests/training/algorithms tests/training/run",
+    "training/experience": "tests/training/experience tests/training/algorithms tests/training/run",
 }
-"""The packages that are changed, and the tests that should notice. The test file of the same name
-as the changed one runs first."""
+"""The packages that are changed, and the tests that should notice."""
 OPERATORS = [
-    name for name in sorted(operator_names()) if not re.search("Variable|Bit[OAX]|Shift", name)
+    name
+    for name in sorted(operator_names())
+    if not re.search("Variable|Bit[OAX]|Shift|Decorator|_(Not)?(Eq|[LG]tE?)_Is", name)
 ]
-"""The changes. Bit operators fail at once on floats, and those of variables need their names."""
-TIMEOUT = 600
+"""The changes. Bit operators fail at once on floats, those of variables need their names, and `is`
+of a number is a warning, which fails at once."""
+LOADED = "numpy scipy.optimize torch mujoco pybullet numba pydantic gymnasium minari"
+"""Packages that are loaded once, before the processes of the tests part from this one."""
+BUDGET = 40.0
+"""Seconds of tests, by their time without a change, that a change gets."""
+TIMEOUT = 300.0
 """Seconds after which a change that keeps the tests busy counts as noticed."""
 
 
@@ -50,7 +70,6 @@ class Mutant(NamedTuple):
 
     file: str
     operator: str
-    occurrence: int
     code: str
     line: int
     """The first line that differs."""
@@ -59,17 +78,34 @@ class Mutant(NamedTuple):
 
 
 class Strip(ast.NodeTransformer):
-    """Take annotations of functions and docstrings away."""
+    """Take away what does nothing when the code runs."""
 
     def visit_arg(self, node: ast.arg) -> ast.arg:
         node.annotation = None
         return node
 
     def visit_FunctionDef(self, node: ast.FunctionDef) -> ast.FunctionDef:
-        node.returns = None
+        node.returns, node.decorator_list = None, []
         self.generic_visit(node)
         node.body = [self._bare(each) for each in node.body]
         return node
+
+    def visit_ClassDef(self, node: ast.ClassDef) -> ast.ClassDef:
+        self.generic_visit(node)
+        kind = " ".join(map(ast.unparse, [*node.decorator_list, *node.bases]))
+        if re.search("dataclass|NamedTuple|Protocol", kind):  # pydantic evaluates annotations
+            node.body = [self._bare(each) for each in node.body]
+        node.decorator_list = []
+        return node
+
+    def visit_Module(self, node: ast.Module) -> ast.Module:
+        self.generic_visit(node)
+        node.body = [self._bare(each) for each in node.body]
+        return node
+
+    def visit_If(self, node: ast.If) -> ast.AST | None:
+        self.generic_visit(node)
+        return None if "TYPE_CHECKING" in ast.unparse(node.test) else node
 
     @staticmethod
     def _bare(node: ast.stmt) -> ast.stmt:
@@ -79,8 +115,7 @@ class Strip(ast.NodeTransformer):
 
 
 def meaning(code: str) -> str | None:
-    """Return a text that is the same for code that does the same but for its annotations; None for
-    what is no Python."""
+    """Return a text that is the same for code that does the same; None for what is no Python."""
     try:
         return ast.dump(Strip().visit(ast.parse(code)))
     except SyntaxError:
@@ -113,28 +148,137 @@ def sample(package: str, num: int, seed: int) -> tuple[list[Mutant], int]:
         pairs = zip(code.splitlines(), changed.splitlines(), strict=False)
         line = next((i for i, (a, b) in enumerate(pairs, 1) if a != b), 0)
         text = changed.splitlines()[line - 1].strip()
-        chosen.append(Mutant(file, name, occurrence, changed, line, text))
+        chosen.append(Mutant(file, name, changed, line, text))
     return chosen, len(everything)
 
 
-def is_noticed(mutant: Mutant, folder: Path, tests: list[str]) -> bool:
-    """Return whether the tests fail with a change, in a copy of the project."""
-    place = folder / mutant.file
-    before = place.read_bytes()
-    place.write_text(mutant.code, "utf-8")
-    own = f"tests/{Path(mutant.file).parent}/test_{Path(mutant.file).name}"
-    order = ([own] if (folder / own).is_file() else []) + tests
-    command = [sys.executable, "-B", "-m", "pytest", "-q", "-x", "-p", "no:cacheprovider", *order]
-    env = os.environ | {"PYTHONPATH": str(folder), "OMP_NUM_THREADS": "1"}
-    env["NUMBA_CACHE_DIR"] = str(folder / ".numba")
-    try:
-        return subprocess.run(
-            command, cwd=folder, env=env, capture_output=True, timeout=TIMEOUT
-        ).returncode in (1, 2, 3, 4)
-    except subprocess.TimeoutExpired:
-        return True
-    finally:
-        place.write_bytes(before)
+class Reach:
+    """A plugin of pytest that finds which tests run which lines, and how long each takes."""
+
+    def __init__(self) -> None:
+        self.coverage = Coverage(data_file=None, source=[str(Path.cwd())], branch=False)
+        self.seconds: dict[str, float] = defaultdict(float)
+        self.coverage.start()
+
+    @pytest.hookimpl(wrapper=True)
+    def pytest_runtest_protocol(self, item: pytest.Item) -> Iterator[None]:
+        self.coverage.switch_context(item.nodeid)
+        result = yield
+        self.coverage.switch_context("")
+        return result
+
+    def pytest_runtest_logreport(self, report: pytest.TestReport) -> None:
+        self.seconds[report.nodeid] += report.duration
+
+    def save(self, file: Path) -> None:
+        """Write the seconds of each test, and the tests of each line of each file."""
+        self.coverage.stop()
+        data = self.coverage.get_data()
+        lines = {
+            str(Path(name).relative_to(Path.cwd())): data.contexts_by_lineno(name)
+            for name in data.measured_files()
+        }
+        file.write_text(json.dumps({"seconds": self.seconds, "lines": lines}), "utf-8")
+
+
+class Chosen:
+    """A plugin of pytest that runs the chosen tests only, in their order."""
+
+    def __init__(self, tests: list[str]) -> None:
+        self._place = {test: place for place, test in enumerate(tests)}
+
+    def pytest_collection_modifyitems(self, items: list[pytest.Item]) -> None:
+        items[:] = sorted(
+            (each for each in items if each.nodeid in self._place),
+            key=lambda each: self._place[each.nodeid],
+        )
+
+
+class Copy:
+    """A copy of the project, in which the tests of a package find a change or do not."""
+
+    def __init__(self, folder: Path, package: str) -> None:
+        self._folder, self._package = folder, package
+        skip = shutil.ignore_patterns(".venv", ".git", "__pycache__", "results", ".*_cache")
+        shutil.copytree(ROOT, folder, ignore=skip, symlinks=True)
+        compileall.compile_dir(folder, quiet=1, invalidation_mode=PycInvalidationMode.CHECKED_HASH)
+        tests = PACKAGES[package].split()
+
+        def reach() -> int:
+            plugin = Reach()
+            code = int(pytest.main(["-q", "-p", "no:cacheprovider", *tests], [plugin]))
+            plugin.save(folder / "reach.json")
+            return code
+
+        if (code := self._forked(reach, math.inf, folder / ".numba")) != 0:
+            raise SystemExit(f"The tests of {package} fail without a change: {code}.")
+        found = json.loads((folder / "reach.json").read_text("utf-8"))
+        self._seconds, self._lines = found["seconds"], found["lines"]
+
+    def tests(self, mutant: Mutant) -> list[str]:
+        """Return the tests that run the changed line, or, if it runs at import or compiled, those
+        that run the file or all; those of its own room first, the quickest first."""
+        lines = self._lines.get(mutant.file, {})
+        every = [{test for test in tests if test} for tests in lines.values()]
+        exact = {test for test in lines.get(str(mutant.line), []) if test}
+        reached = exact or set().union(*every) or set(self._seconds)
+        room, total, chosen = f"tests/{self._package}", 0.0, []
+        for test in sorted(
+            reached, key=lambda test: (not test.startswith(room), self._seconds.get(test, 0.0))
+        ):
+            total += self._seconds.get(test, 0.0)
+            if chosen and total > BUDGET:
+                break
+            chosen.append(test)
+        return chosen
+
+    def notices(self, mutant: Mutant) -> bool:
+        """Return whether a test fails with a change."""
+        place = self._folder / mutant.file
+        before, times = place.read_bytes(), place.stat()
+        tests = self.tests(mutant)
+        files = sorted({test.split("::")[0] for test in tests})
+        options = ["-q", "-x", "-p", "no:cacheprovider", *files]
+        cache = self._folder / ".numba"
+        if "@compiled" in mutant.code:  # compiled callers hold the machine code of what they call
+            cache = Path(tempfile.mkdtemp(dir=self._folder))
+        place.write_text(mutant.code, "utf-8")
+        try:
+            code = self._forked(lambda: int(pytest.main(options, [Chosen(tests)])), TIMEOUT, cache)
+            return code != 0
+        finally:
+            place.write_bytes(before)
+            os.utime(place, ns=(times.st_atime_ns, times.st_mtime_ns))
+
+    def _forked(self, do: Callable[[], int], seconds: float, cache: Path) -> int:
+        """Return what a function returns in a process of its own; 99 if it takes too long."""
+        child = os.fork()
+        if child == 0:
+            os.setsid()
+            os.chdir(self._folder)
+            sys.path.insert(0, str(self._folder))
+            for name in [name for name in sys.modules if name.split(".")[0] == "tests"]:
+                del sys.modules[name]
+            os.environ |= {"PYTHONPATH": str(self._folder), "NUMBA_CACHE_DIR": str(cache)}
+            vars(importlib.import_module("numba.core.config"))["CACHE_DIR"] = str(cache)
+            quiet = os.open(os.devnull, os.O_WRONLY)
+            os.dup2(quiet, 1)
+            os.dup2(quiet, 2)
+            code = 98
+            try:
+                code = do()
+            finally:
+                os._exit(code)
+        end, done, status = time.monotonic() + seconds, 0, 0
+        while not done and time.monotonic() < end:
+            time.sleep(0.05)
+            done, status = os.waitpid(child, os.WNOHANG)
+        with contextlib.suppress(ProcessLookupError):
+            os.killpg(child, signal.SIGKILL)  # also workers that tests have left
+        if not done:
+            os.waitpid(child, 0)
+            return 99
+        return os.waitstatus_to_exitcode(status)
 
 
 def wilson(hits: int, num: int) -> tuple[float, float]:
@@ -149,24 +293,26 @@ def main() -> None:
     """Change a sample of each package and print what was not noticed."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("packages", nargs="*", default=list(PACKAGES))
-    parser.add_argument("--num", type=int, default=40, help="changes of each package")
+    parser.add_argument("--num", type=int, default=60, help="changes of each package")
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument(
         "--minutes", type=float, default=math.inf, help="longest time for a package"
     )
     asked = parser.parse_args()
-    with tempfile.TemporaryDirectory() as name:
-        folder = Path(name) / "copy"
-        skip = shutil.ignore_patterns(".venv", ".git", "__pycache__", "results", ".*_cache")
-        shutil.copytree(ROOT, folder, ignore=skip, symlinks=True)
-        for package in asked.packages:
+    os.environ["OMP_NUM_THREADS"] = "1"
+    sys.dont_write_bytecode = True
+    for name in LOADED.split():
+        importlib.import_module(name)
+    for package in asked.packages:
+        with tempfile.TemporaryDirectory() as name:
             chosen, total = sample(package, asked.num, asked.seed)
+            copy = Copy(Path(name) / "copy", package)
             noticed, tried, begin = 0, 0, time.monotonic()
             for mutant in chosen:
                 if time.monotonic() - begin > 60 * asked.minutes:
                     break
                 tried += 1
-                if is_noticed(mutant, folder, PACKAGES[package].split()):
+                if copy.notices(mutant):
                     noticed += 1
                 else:
                     place = f"{mutant.file}:{mutant.line}"
