@@ -13,7 +13,7 @@ from cdcsr.envs.gym_env import TaskVectorEnv
 from cdcsr.errors import CdcsrError
 from cdcsr.files import read_json, write_json
 from cdcsr.robot.description import Robot
-from cdcsr.simulation.rotations import at_start
+from cdcsr.robot.poses import tip_at_start
 from cdcsr.tasks.catalogue import make_task
 from cdcsr.tasks.workspace_map import Workspace, cells_between
 from controllers.jacobian import JacobianController
@@ -73,7 +73,7 @@ def compute_workspace(
     progress: Callable[[int, int, int, int], None] = lambda *_: None,
     record: Path | None = None,
 ) -> Workspace:
-    """Try the points of a grid, from the straight arm's tip and the middle of the Anchor Space
+    """Try the points of a grid, from the tip at the start and the middle of the Anchor Space
     outwards.
 
     Each point that is reached has its neighbours tried too, so points that no path along reached
@@ -94,7 +94,7 @@ def compute_workspace(
             damaged or of another map.
     """
     middle = np.array(robot.workspace.center)
-    tip = at_start(robot, [0.0, 0.0, robot.top + robot.arm_length])
+    tip = tip_at_start(robot)
     nearest: Point = tuple(np.rint((tip - middle) / spacing).astype(int).tolist())
     search = _Search([], list(dict.fromkeys([nearest, (0, 0, 0)])))
     task = make_task("reach", robot)

@@ -10,6 +10,7 @@ import numpy as np
 
 from backends.parity.open_loop import accurate_step
 from cdcsr.robot.description import Robot
+from cdcsr.robot.poses import tip_at_start
 from cdcsr.robot.routing import routing
 from cdcsr.robot.ruler import ruler
 from cdcsr.robot.stability import stable_step
@@ -50,7 +51,7 @@ class Summary(TypedDict):
     center_of_mass: list[float]
     """The centre of mass of the straight robot at the start, three numbers in [m], world frame."""
     tip: list[float]
-    """Where the straight arm's tip is at the start, three numbers in [m], world frame."""
+    """Where the tip is at the start, three numbers in [m], world frame."""
     reach: float
     """From the first joint to the tip of the straight arm, in [m]."""
     cables: list[Cable]
@@ -80,7 +81,7 @@ def summarize(robot: Robot, backends: Sequence[str]) -> Summary:
         "degrees_of_freedom": robot.num_coordinates - 6 * (robot.base.mount == "fixed"),
         "total_mass": robot.total_mass,
         "center_of_mass": (at_start(robot, _center_of_mass(robot)).round(12) + 0.0).tolist(),
-        "tip": (at_start(robot, np.array([0, 0, top])).round(12) + 0.0).tolist(),
+        "tip": (tip_at_start(robot).round(12) + 0.0).tolist(),
         "reach": top - robot.first_joint,
         "cables": [
             {"name": f"cable_{c}", "segment": s, "rest_length": float(route.rest_length[c])}
@@ -108,7 +109,7 @@ def show(summary: Summary) -> str:
         f"degrees of freedom  {summary['degrees_of_freedom']}",
         f"total mass          {summary['total_mass']:.6g} kg",
         f"centre of mass      ({x:.6g}, {y:.6g}, {z:.6g}) m, straight",
-        f"tip                 ({tip}) m, straight; {summary['reach']:.6g} m from the first joint",
+        f"tip                 ({tip}) m; straight, {summary['reach']:.6g} m from the first joint",
         f"cables              {len(cables)}, rest lengths in m:",
     ]
     for s in sorted({cable["segment"] for cable in cables}):
@@ -164,13 +165,14 @@ def _mass_matrices(robot: Robot, backend: str) -> Array:
     """Return the mass matrices of two copies, shape (2, nv, nv): one is straight, one is bent and
     its base is turned."""
     random = np.random.default_rng(0)
-    limit = min([_BEND, *(hinge.limit for hinge in robot.hinges)])
+    lower = max([-_BEND, *(hinge.lower for hinge in robot.hinges)])
+    upper = min([_BEND, *(hinge.upper for hinge in robot.hinges)])
     quaternion = random.normal(size=4)
     bent = [
         random.uniform(-1, 1, 3),
         quaternion / np.linalg.norm(quaternion),
         -0.1 * np.array([servo.offset for servo in robot.servos]),
-        random.uniform(-limit, limit, robot.num_hinges),
+        random.uniform(lower, upper, robot.num_hinges),
     ]
     simulation = make_simulation(robot, backend, num=2)
     try:

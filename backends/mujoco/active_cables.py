@@ -84,10 +84,11 @@ class Cables:
         self._batch, self._before = many, many.state.copy()
         self._slider_offset = route.slider_offset
         self._rest = np.tile(route.rest_length, (many.nsim, 1))
-        self._described_rest = route.rest_length
+        self._described_rest, self._bent = route.rest_length, route.bent
         self._target = many.expand("eq_data")[:, :, 0]
-        """Where active equalities end a step, shape (num, C), in [m] beyond the described rest
-        length."""
+        """Where active equalities end a step, shape (num, C), in [m] beyond the length along the
+        straight arm."""
+        self._target[:] = route.bent
         self._recovering = False
         self._keep = 1 - robot.time_step / robot.constraint.recovery_time
         self._length, self._held = many.bind("ten_length"), many.bind("eq_active")
@@ -97,7 +98,7 @@ class Cables:
         """Make the cables of copies `ids` longer than described by `offset`, shape (n, C), in
         [m]."""
         self._rest[ids] = self._described_rest + offset
-        self._target[ids] = offset
+        self._target[ids] = self._bent + offset
 
     def step(self) -> None:
         """Advance all copies by one time step under the controls in the batch."""
@@ -137,7 +138,7 @@ class Cables:
         if not (self._recovering or excess.max(initial=0) > _EXCESS):
             return self._rest
         left = np.where(excess > _EXCESS, self._keep * excess, 0.0)
-        target = self._rest - self._described_rest + left
+        target = self._rest - self._described_rest + left + self._bent
         late = (self._target != target).any(axis=1)
         self._target[:] = target
         self._batch.forward(np.flatnonzero(late), stage=CURRENT)

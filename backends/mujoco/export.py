@@ -55,5 +55,5 @@ def _add_conveniences(spec: mujoco.MjSpec, robot: Robot) -> None:
     radius = ruler(robot).size * TARGET_RADIUS
     target.add_site(name="target", size=[radius, 0, 0], rgba=share(TARGET))
     base = [*robot.base.position, *robot.base.quaternion] if robot.base.mount == "free" else []
-    joints = robot.num_cables + robot.num_hinges
-    spec.add_key(name="start", qpos=[*base, *joints * [0.0]], ctrl=robot.num_cables * [0.0])
+    still = robot.num_cables * [0.0]
+    spec.add_key(name="start", qpos=[*base, *still, *robot.start_angles], ctrl=still)

@@ -31,8 +31,8 @@ INTEGRATORS = {
 UNLIMITED = 1e6
 """The travel in [m] of a slider away from its guide, where nothing stops it."""
 _TOUCH = 1e-9
-"""MuJoCo sees a limit only once it is exceeded. The cables of the straight robot exceed it by this,
-in [m], so that in the first step a pull acts on the arm and not on a free slider."""
+"""MuJoCo sees a limit only once it is exceeded. The cables of the robot at its start exceed it by
+this, in [m], so that in the first step a pull acts on the arm and not on a free slider."""
 _RIGID = 0.9999
 """The largest impedance that MuJoCo allows."""
 
@@ -183,15 +183,16 @@ def _add_link(
         explicitinertial=True,
     )
     for hinge in joint.hinges:
-        body.add_joint(
+        added = body.add_joint(
             name=f"hinge_{j}_{hinge.axis}",
             type=mujoco.mjtJoint.mjJNT_HINGE,
             axis=[float(axis == hinge.axis) for axis in "xyz"],
             stiffness=hinge.stiffness,
             damping=hinge.damping,
             limited=mujoco.mjtLimited.mjLIMITED_TRUE,
-            range=[-hinge.limit, hinge.limit],
+            range=[hinge.lower, hinge.upper],
         )
+        setattr(added, "springref", hinge.rest)  # noqa: B010 (MuJoCo's stubs lack it)
     return body
 
 

@@ -94,6 +94,7 @@ class BatchSimulation(Simulation):
         self._time, self._ctrl = self.batch.bind("time"), self.batch.bind("ctrl")
         self._cables = self.cables_type(robot, self.batch)
         self._q, self._v = base_size(self.robot)
+        self._start = np.array(robot.start_angles)
         self._fastest = highest_speeds(robot)[6 - self._v :]
         first_link = model.body("link_0").id
         self._frames = self.batch.bind("xmat").reshape(self.num, -1, 3, 3)[:, first_link:]
@@ -119,8 +120,9 @@ class BatchSimulation(Simulation):
     def _reset(self, ids: NDArray[np.int64]) -> None:
         self.batch.reset(ids, stage=CURRENT)
         travel = self.plant.start_travel[ids]
-        if travel.any():
+        if travel.any() or self._start.any():
             self._qpos[ids, self._q : self._q + self.robot.num_cables] = travel
+            self._qpos[ids, self._q + self.robot.num_cables :] = self._start
             self.batch.forward(ids, stage=CURRENT)
         self._cables.tension[ids] = 0
 

@@ -29,8 +29,9 @@ def random_states(robot: Robot, num: int, seed: int) -> Snapshot:
     rng = np.random.default_rng(seed)
     quaternion = rng.normal(size=(num, 4))
     quaternion /= np.linalg.norm(quaternion, axis=1, keepdims=True)
-    limits = np.array([hinge.limit for hinge in robot.hinges])
-    hinges = _BEND * limits * rng.uniform(-1, 1, (num, robot.num_hinges))
+    lower, upper = np.array([(hinge.lower, hinge.upper) for hinge in robot.hinges]).T
+    part = rng.uniform(-1, 1, (num, robot.num_hinges))
+    hinges = _BEND * np.where(part > 0, upper, -lower) * part
     route = routing(robot)
     # A slider at minus its cable's excess length makes the cable just taut; shifted from there, the
     # cable is too long or slack.

@@ -65,9 +65,16 @@ class Rig(NamedTuple):
     """Shape (C,), in [m]."""
     slider_mass: Array
     """Shape (C,), in [kg]."""
-    limit: Array
-    """The largest travel of each slider in [m], then angle of each hinge to either side in [rad],
-    shape (C + H,)."""
+    bent: Array
+    """How much longer the cables are at the start than along the straight arm, shape (C,), in
+    [m]."""
+    rest: Array
+    """Rest angles of the hinges, shape (H,), in [rad]."""
+    lower: Array
+    """Minus infinity for each slider, which nothing stops on its way down, then the lowest angle of
+    each hinge in [rad], shape (C + H,)."""
+    upper: Array
+    """The largest travel of each slider in [m], then angle of each hinge in [rad], (C + H,)."""
     recovery_time: float
     """The time constant with which an excess of length decays, in [s]."""
 
@@ -84,7 +91,10 @@ def rig(robot: Robot) -> Rig:
         joints=route.joints,
         slider_offset=route.slider_offset,
         slider_mass=np.array([servo.mass for servo in robot.servos], dtype=float),
-        limit=np.array([s.stop for s in robot.servos] + [h.limit for h in robot.hinges]),
+        bent=route.bent,
+        rest=np.array(robot.start_angles),
+        lower=np.array([-np.inf] * robot.num_cables + [h.lower for h in robot.hinges]),
+        upper=np.array([s.stop for s in robot.servos] + [h.upper for h in robot.hinges]),
         recovery_time=robot.constraint.recovery_time,
     )
 
@@ -105,7 +115,7 @@ def cable_rows(rig: Rig, travel: Array, hinges: Array, jacobian: Array) -> Array
         px, py, offset = rig.place[c, 0], rig.place[c, 1], rig.guide_offset[c]
         below = rig.slider_offset[c] - travel[c]
         jacobian[c, c] = -np.sign(below)
-        total = abs(below) - rig.slider_offset[c]
+        total = abs(below) - rig.slider_offset[c] - rig.bent[c]
         for n in range(rig.joints[c]):
             if not rig.universal:
                 low, high = np.array([px, py, -offset]), np.array([px, py, offset])
@@ -234,12 +244,10 @@ def joint_forces(
     hinges = joints[cables:]
     servo[:] = plant.servo_gain[copy] * (command - joints[:cables])
     force[:cables] = 0.0
-    force[cables:] = -plant.stiffness[copy] * hinges
+    force[cables:] = -plant.stiffness[copy] * (hinges - rig.rest)
 
     # Rows of `whole`: the mass matrix, what drives, the cables, the limits of joints past them.
-    past = np.abs(joints) > rig.limit
-    past[:cables] = joints[:cables] > rig.limit[:cables]  # nothing stops a slider on its way down
-    limited = np.flatnonzero(past)
+    limited = np.flatnonzero((joints > rig.upper) | (joints < rig.lower))
     count = cables + limited.size
     whole = np.zeros((size + 1 + count, size))
     rows = whole[size + 1 :, 6:]
@@ -249,8 +257,10 @@ def joint_forces(
         gap = plant.rest_length_offset[copy, c] - excess[c]
         slack[c] = gap / (step if gap >= 0 else rig.recovery_time)
     for i, k in enumerate(limited):
-        rows[cables + i, k] = np.sign(joints[k])
-        slack[cables + i] = LIMIT_RECOVERY * (rig.limit[k] - abs(joints[k])) / step
+        above = joints[k] > rig.upper[k]
+        rows[cables + i, k] = 1.0 if above else -1.0
+        gap = rig.upper[k] - joints[k] if above else joints[k] - rig.lower[k]
+        slack[cables + i] = LIMIT_RECOVERY * gap / step
     for i in range(count):
         for k in range(velocity.size):
             slack[i] -= rows[i, k] * velocity[k]

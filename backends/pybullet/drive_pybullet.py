@@ -28,8 +28,9 @@ def drive(folder: Path, steps: int, setpoints: list[float]) -> np.ndarray:
     p.setJointMotorControlArray(robot, numbers, p.VELOCITY_CONTROL, forces=[0] * len(infos))
     slider = [names.index(cable["slider_joint"]) for cable in cables]
     spring = np.array([hinges[name]["stiffness"] if name in hinges else 0.0 for name in names])
-    spring[slider], target = [cable["servo"]["gain"] for cable in cables], np.zeros(len(names))
-    target[slider] = setpoints
+    target = np.array([hinges[name]["rest"] if name in hinges else 0.0 for name in names])
+    p.resetJointStatesMultiDof(robot, numbers, [[angle] for angle in target])
+    spring[slider], target[slider] = [cable["servo"]["gain"] for cable in cables], setpoints
     mass = [p.getDynamicsInfo(robot, i)[0] for i in slider]
     owner = [[slider[i]] + [link[g["link"]] for g in c["guides"]] for i, c in enumerate(cables)]
     points = [np.array([[0, 0, 0]] + [g["xyz"] for g in c["guides"]]) for c in cables]

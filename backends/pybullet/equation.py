@@ -44,7 +44,7 @@ class Equation:
         self._bodies: dict[bytes, int] = {}
         self._row = struct.Struct(f"{robot.num_coordinates}d").pack
         self._still = [0.0] * robot.num_coordinates
-        self._route = routing(robot)
+        self._route, self._rest = routing(robot), np.array(robot.start_angles)
         last_link, _ = robot.links[-1]
         self._tip_link = robot.num_cables + robot.num_hinges - 1
         # calculateJacobian takes a point in the link's own frame, not from its centre of mass.
@@ -128,7 +128,7 @@ class Equation:
         joints, rates = position[:, 7:], velocity[:, 6:]
         passive = np.zeros_like(velocity)
         passive[:, 6:] = -plant.damping * rates
-        passive[:, 6 + cables :] -= plant.stiffness * joints[:, cables:]
+        passive[:, 6 + cables :] -= plant.stiffness * (joints[:, cables:] - self._rest)
         if load is not None:
             passive += load
         cable = np.zeros((len(position), cables, velocity.shape[1]))

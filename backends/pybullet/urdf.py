@@ -77,7 +77,7 @@ def urdf(robot: Robot, mesh_files: Mapping[str, str] | None = None, world: bool 
                 heights = part.center_of_mass, part.length / 2
                 model.link(child, part.mass, part.inertia, ("cylinder", shape), color, heights)
             axis = " ".join(str(int(a == hinge.axis)) for a in "xyz")
-            joint = ("revolute", axis, (-hinge.limit, hinge.limit), hinge.damping)
+            joint = ("revolute", axis, (hinge.lower, hinge.upper), hinge.damping)
             model.joint(f"hinge_{j}_{hinge.axis}", joint, parent, child, (0, 0, height))
             parent, height = child, 0.0
         height = part.length
@@ -179,7 +179,7 @@ def cable_file(robot: Robot) -> dict[str, object]:
             }
         )
     hinges = {
-        name: {"stiffness": hinge.stiffness, "damping": hinge.damping, "limit": hinge.limit}
+        name: hinge._asdict()
         for name, hinge in zip(names[robot.num_cables :], robot.hinges, strict=True)
     }
     last = robot.num_links - 1

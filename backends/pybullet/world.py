@@ -40,7 +40,7 @@ class Divergence(NamedTuple):
 
 
 class World:
-    """`num` copies of a robot, all straight and at rest at the start.
+    """`num` copies of a robot, with all hinges at their rest angles at the start.
 
     Attributes:
         time: shape (num,), in [s].
@@ -100,7 +100,7 @@ class World:
             self.time[copy] = 0.0
             self.position[copy] = 0.0
             self.position[copy, :7] = self._start
-            self.position[copy, 7 : 7 + travel.shape[1]] = travel[copy]
+            self.position[copy, 7:] = *travel[copy], *self._rig.rest
             self.velocity[copy] = 0.0
             self.tension[copy] = 0.0
             self._write(copy)

@@ -1,11 +1,11 @@
 """The description of a cable-driven continuum space robot, read from and written to TOML.
 
 A robot is a base, free-floating or fixed, with a serial arm of rigid links. Each link hangs on a
-universal joint at its lower end (two crossed hinges, first about x, then about y), and can have a
-hinge for torsion. Links are grouped into segments, given by their numbers or by the material of a
-backbone, and every segment may have cables of its own. A cable runs from a servo-driven slider
-inside the base through two guides on each link that it passes, to its anchor: the upper guide of
-the last link of its own segment.
+joint at its lower end: two crossed hinges, first about x, then about y, or one hinge; and it can
+have one more for torsion. Links are grouped into segments, given by their numbers or by the
+material of a backbone, and every segment may have cables of its own. A cable runs from a
+servo-driven slider inside the base through two guides on each link that it passes, to its anchor:
+the upper guide of the last link of its own segment.
 
 Lengths in [m], masses in [kg], angles in [rad] unless a name says degrees. The arm points along +z.
 """
@@ -153,7 +153,7 @@ class Robot(Part):
             if chain and segment.stub is not None:
                 link, joint = chain[-1]
                 chain[-1] = joined(link, segment.stub), joint
-            chain += segment.chain
+            chain += segment.pairs
         return tuple(chain)
 
     @property
@@ -164,6 +164,11 @@ class Robot(Part):
     def hinges(self) -> tuple[Hinge, ...]:
         """All hinges from the base to the tip."""
         return tuple(hinge for _, joint in self.links for hinge in joint.hinges)
+
+    @property
+    def start_angles(self) -> tuple[float, ...]:
+        """The angle of each hinge at the start, where its spring is at rest, in [rad]."""
+        return tuple(hinge.rest for hinge in self.hinges)
 
     @property
     def link_of_hinge(self) -> tuple[int, ...]:

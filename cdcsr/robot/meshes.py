@@ -29,8 +29,8 @@ def visual_meshes(robot: Robot) -> dict[str, trimesh.Trimesh]:
 
     Returns:
         `base` (origin at its centre), and for each segment s from 0: `link_<s>` (origin at its
-        joint, +z along the link), `end_<s>` if its last link differs from the others, and
-        `slider_<s>` if it has cables (origin at its centre).
+        joint, +z along the link), `link_<s>_<n>` for each link n that differs from its first one,
+        `end_<s>` if the last one does, and `slider_<s>` if it has cables (origin at its centre).
     """
     meshes = {"base": _base(robot)}
     for (link, _), part in zip(robot.links, link_parts(robot), strict=True):
@@ -47,9 +47,9 @@ def link_parts(robot: Robot) -> list[str]:
     """Return the name of each link's mesh, from the base to the tip."""
     parts: list[str] = []
     for s, segment in enumerate(robot.segments):
-        first, last = (robot.links[len(parts) + n][0] for n in (0, segment.links - 1))
-        end = f"link_{s}" if last == first else f"end_{s}"
-        parts += [f"link_{s}"] * (segment.links - 1) + [end]
+        links = [link for link, _ in robot.links[len(parts) : len(parts) + segment.links]]
+        names = [f"link_{s}_{n}" for n in range(len(links) - 1)] + [f"end_{s}"]
+        parts += [f"link_{s}" if a == links[0] else b for a, b in zip(links, names, strict=True)]
     return parts
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from math import pi
 from typing import Annotated, ClassVar, Literal, NamedTuple, Self
 
 import numpy as np
@@ -18,7 +19,8 @@ from pydantic import (
 
 Positive = Annotated[float, Field(gt=0)]
 NonNegative = Annotated[float, Field(ge=0)]
-Angle = Annotated[float, Field(gt=0, le=3.141592653589793)]
+Angle = Annotated[float, Field(gt=0, le=pi)]
+LowAngle = Annotated[float, Field(ge=-pi, le=0)]
 Vector = Annotated[tuple[float, float, float], Strict(False)]
 
 
@@ -73,6 +75,13 @@ class Link(Part):
     center: NonNegative | None = None
     """Height of the centre of mass above the joint, in [m]; without it, half of the length."""
 
+    def scaled(self, radius: float, mass: float) -> Link:
+        """Return a link of so many times the radius and the mass: its moments across grow with the
+        mass, that along the link with the mass and the radius squared."""
+        x, y, z = (moment * mass for moment in self.inertia)
+        own = {"radius": self.radius * radius, "mass": self.mass * mass}
+        return Link.model_validate(dict(self) | own | {"inertia": (x, y, z * radius**2)})
+
     @property
     def center_of_mass(self) -> float:
         """Height above the joint in [m]."""
@@ -82,37 +91,72 @@ class Link(Part):
 class Torsion(Part):
     """A hinge about z, with which a link twists."""
 
+    later = ("lower", "rest")
     stiffness: NonNegative
-    """In [N m/rad]; the rest angle is zero."""
+    """In [N m/rad]."""
     damping: NonNegative
     """In [N m s/rad]."""
     limit: Angle
-    """Largest angle to either side in [rad]."""
+    """Largest angle in [rad]; to the other side the same, unless `lower` is given."""
+    lower: LowAngle | None = None
+    """Lowest angle in [rad]."""
+    rest: float = 0.0
+    """Rest angle of the spring in [rad]; the arm starts there."""
+
+    @model_validator(mode="after")
+    def _rests_inside(self) -> Self:
+        _check_rest(self.hinge)
+        return self
+
+    @property
+    def hinge(self) -> Hinge:
+        """The hinge itself."""
+        lower = -self.limit if self.lower is None else self.lower
+        return Hinge("z", self.stiffness, self.damping, lower, self.limit, self.rest)
 
 
 class Joint(Part):
-    """The hinges below a link: two crossed ones for bending, and one for torsion if it is given."""
+    """The hinges below a link: two crossed ones for bending, or one for bending in a plane; and one
+    for torsion if it is given."""
 
-    later = ("order", "torsion")
+    later = ("order", "torsion", "lower", "rest")
     stiffness: NonNegative
-    """Stiffness of each bending hinge, in [N m/rad]; the rest angle is zero."""
+    """Stiffness of each bending hinge, in [N m/rad]."""
     damping: NonNegative
     """Damping of each bending hinge, in [N m s/rad]."""
     limit: Angle
-    """Largest angle of a bending hinge to either side in [rad]."""
-    order: Literal["xy", "yx"] = "xy"
-    """The axes of the bending hinges, the lower one first. A hinge for torsion lies above both."""
+    """Largest angle of a bending hinge in [rad]; to the other side the same, unless `lower` is
+    given."""
+    lower: LowAngle | None = None
+    """Lowest angle of a bending hinge in [rad]."""
+    order: Literal["xy", "yx", "x", "y"] = "xy"
+    """The axes of the bending hinges, the lower one first; a single one bends in a plane. A hinge
+    for torsion lies above them."""
+    rest: Annotated[tuple[float, ...], Strict(False)] = ()
+    """Rest angle of the spring of each bending hinge in [rad], in the same order; without it, zero.
+    The arm starts there."""
     torsion: Torsion | None = None
+
+    @model_validator(mode="after")
+    def _rests_inside(self) -> Self:
+        if self.rest and len(self.rest) != len(self.order):
+            raise ValueError(
+                f"rest must have {len(self.order)} angles, one for each hinge in order = "
+                f"{self.order!r}, not {len(self.rest)}"
+            )
+        for hinge in self.hinges:
+            _check_rest(hinge)
+        return self
 
     @property
     def hinges(self) -> tuple[Hinge, ...]:
         """The hinges in order, the lowest first."""
-        bending = (self.stiffness, self.damping, self.limit)
-        found = tuple(Hinge(axis, *bending) for axis in self.order)
-        if self.torsion is None:
-            return found
-        twist = self.torsion
-        return (*found, Hinge("z", twist.stiffness, twist.damping, twist.limit))
+        lower = -self.limit if self.lower is None else self.lower
+        found = tuple(
+            Hinge(axis, self.stiffness, self.damping, lower, self.limit, rest)
+            for axis, rest in zip(self.order, self.rest or (0.0, 0.0), strict=False)
+        )
+        return found if self.torsion is None else (*found, self.torsion.hinge)
 
 
 class Hinge(NamedTuple):
@@ -124,8 +168,20 @@ class Hinge(NamedTuple):
     """In [N m/rad]."""
     damping: float
     """In [N m s/rad]."""
-    limit: float
-    """Largest angle to either side in [rad]."""
+    lower: float
+    """Lowest angle in [rad], zero or negative."""
+    upper: float
+    """Largest angle in [rad], positive."""
+    rest: float = 0.0
+    """Angle at which its spring is at rest, and at which it starts, in [rad]."""
+
+
+def _check_rest(hinge: Hinge) -> None:
+    if not hinge.lower <= hinge.rest <= hinge.upper:
+        raise ValueError(
+            f"rest must lie between {hinge.lower:g} and {hinge.upper:g} rad, where the hinge about "
+            f"{hinge.axis} stops, not at {hinge.rest:g}"
+        )
 
 
 class Backbone(Part):
@@ -141,8 +197,13 @@ class Backbone(Part):
     bending hinge has the stiffness E I / l and the torsion hinge G J / l, where I = pi (R^4 - r^4)
     / 4 and J = 2 I (S. Timoshenko, "Strength of Materials"). A damper is the stiffness times the
     damping time (a Kelvin-Voigt material).
+
+    A tapered rod has the radius R at its lower end and `end_radius` at the other, in between
+    linearly, and the inner radius in proportion. Its pieces are frustums, and a hinge is as
+    compliant as its cell: l / (E I) becomes the integral of 1 / (E I) over the cell.
     """
 
+    later = ("end_radius", "curvature", "twist")
     length: Positive
     """Length of the whole segment, in [m]."""
     youngs_modulus: Positive
@@ -151,7 +212,9 @@ class Backbone(Part):
     density: Positive
     """In [kg/m^3]."""
     radius: Positive
-    """R, outer radius in [m]."""
+    """R, outer radius in [m]; of a tapered rod at its lower end."""
+    end_radius: Positive | None = None
+    """Outer radius of a tapered rod at its upper end, in [m]."""
     inner_radius: NonNegative = 0.0
     """r, in [m]; zero for a solid rod."""
     damping_time: NonNegative
@@ -160,11 +223,17 @@ class Backbone(Part):
     """Largest angle of each hinge to either side in [rad]."""
     torsion: bool = True
     """Whether links can twist."""
+    curvature: Annotated[tuple[float, float], Strict(False)] = (0.0, 0.0)
+    """Curvature at rest about x and y, in [rad/m]."""
+    twist: float = 0.0
+    """Twist at rest, in [rad/m]."""
 
     @model_validator(mode="after")
     def _is_a_tube(self) -> Self:
         if self.inner_radius >= self.radius:
             raise ValueError(f"inner_radius must be below radius ({self.radius:g} m)")
+        if self.twist and not self.torsion:
+            raise ValueError("twist needs torsion = true")
         return self
 
     @property
@@ -184,20 +253,34 @@ class Backbone(Part):
         order; bending about y first makes the opposite one. So that they cancel along the rod, also
         where they change, the order follows the Thue-Morse sequence: xy yx yx xy yx xy xy yx ...
         """
+        cell = self.length / cells
+        low, high = (self._radius_at(n * cell) for n in (number, number + 1))
+        # The integral of 1 / R^4 over the cell, as a multiple of that at its lower end.
+        soft = (low**2 + low * high + high**2) * self.radius**4 / (3 * low**3 * high**3)
         bend, twist = (
-            k * cells / self.length for k in (self.bending_stiffness, self.torsional_stiffness)
+            k * cells / self.length / (soft if self.end_radius else 1.0)
+            for k in (self.bending_stiffness, self.torsional_stiffness)
         )
-        torsion = Torsion(stiffness=twist, damping=self.damping_time * twist, limit=self.limit)
+        torsion = Torsion(
+            stiffness=twist,
+            damping=self.damping_time * twist,
+            limit=self.limit,
+            rest=self.twist * cell,
+        )
+        order = "yx" if number.bit_count() % 2 else "xy"
         return Joint(
             stiffness=bend,
             damping=self.damping_time * bend,
             limit=self.limit,
-            order="yx" if number.bit_count() % 2 else "xy",
+            order=order,
+            rest=tuple(self.curvature["xy".index(axis)] * cell for axis in order),
             torsion=torsion if self.torsion else None,
         )
 
-    def piece(self, length: float) -> Link:
-        """Return a piece of the rod as a rigid link."""
+    def piece(self, length: float, start: float = 0.0) -> Link:
+        """Return a piece of the rod as a rigid link that begins at the height `start`."""
+        if self.end_radius is not None:
+            return self._frustum(length, self._radius_at(start), self._radius_at(start + length))
         squares = self.radius**2 + self.inner_radius**2
         mass = self.density * np.pi * (self.radius**2 - self.inner_radius**2) * length
         across = mass * (3 * squares + length**2) / 12
@@ -206,6 +289,34 @@ class Backbone(Part):
             radius=self.radius,
             mass=mass,
             inertia=(across, across, mass * squares / 2),
+        )
+
+    def _radius_at(self, height: float) -> float:
+        """Return the outer radius at a height above the rod's lower end, in [m]."""
+        end = self.radius if self.end_radius is None else self.end_radius
+        return self.radius + (end - self.radius) * height / self.length
+
+    def _frustum(self, length: float, low: float, high: float) -> Link:
+        """Return a hollow frustum of the radii `low` and `high` as a link.
+
+        With R linear along it, the mean of R^2 is (a^2 + a b + b^2) / 3, those of R^2 z and R^2 z^2
+        follow in the same way, and a slice has the moments of a disc.
+        """
+        inner = self.inner_radius / self.radius
+        area, shape = np.pi * (1 - inner**2), np.pi * (1 - inner**4)
+        second = (low**2 + low * high + high**2) / 3
+        fourth = sum(low**k * high ** (4 - k) for k in range(5)) / 5
+        center = length * (low**2 + 2 * low * high + 3 * high**2) / 12 / second
+        spread = length**2 * (low**2 + 3 * low * high + 6 * high**2) / 30 / second
+        mass = self.density * area * second * length
+        disc = self.density * shape * fourth * length / 4
+        across = disc + mass * (spread - center**2)
+        return Link(
+            length=length,
+            radius=(low + high) / 2,
+            mass=mass,
+            inertia=(across, across, 2 * disc),
+            center=center,
         )
 
 

@@ -27,7 +27,7 @@ _RANGES: dict[str, tuple[float, float]] = {
     "youngs_modulus": (1e-9, 1e13),
 }
 """The ranges of keys for which that is too wide or too narrow."""
-_MOST_SEGMENTS, _MOST_CABLES = 64, 64
+MOST_SEGMENTS, _MOST_CABLES = 64, 64
 _TOO_LARGE = 1e300
 """An integer beyond this has no place in a float."""
 _DEEPEST = 8
@@ -64,7 +64,7 @@ def errors_of_magnitude(data: Any, place: Place = ()) -> Iterator[InitErrorDetai
         for key, value in data.items():
             yield from errors_of_magnitude(value, (*place, key))
     elif isinstance(data, list | tuple) and len(place) < _DEEPEST:
-        most = {"segments": _MOST_SEGMENTS, "angles_deg": _MOST_CABLES}.get(str(place[-1:][0]), 500)
+        most = {"segments": MOST_SEGMENTS, "angles_deg": _MOST_CABLES}.get(str(place[-1:][0]), 500)
         if len(data) > most:
             yield _error(place, f"at most {most} are allowed", len(data))
             return
@@ -92,17 +92,20 @@ def errors_of_bodies(data: Any) -> Iterator[InitErrorDetails]:
         yield from _too_large_inertia(data, ("base",), reach)
     count = _length(data, "segments")
     arm = 0.0
-    for i in range(min(count, _MOST_SEGMENTS)):
+    for i in range(min(count, MOST_SEGMENTS)):
         place: Place = ("segments", i)
-        length = positive_number(data, *place, "link", "length")
-        arm += (length or math.inf) * (positive_number(data, *place, "links") or 1)
+        links = link_places(data, i)
+        number = 1.0 if len(links) > 1 else positive_number(data, *place, "links") or 1
         pitches = [
             positive_number(data, "segments", j, "cables", "pitch_radius") or 0.0
-            for j in range(i, min(count, _MOST_SEGMENTS))
+            for j in range(i, min(count, MOST_SEGMENTS))
         ]
-        if length:
-            wide = max(positive_number(data, *place, "link", "radius") or 0.0, *pitches)
-            yield from _too_large_inertia(data, (*place, "link"), length + 2 * wide)
+        for link in links:
+            length = positive_number(data, *link, "length")
+            arm += (length or math.inf) * number
+            if length:
+                wide = max(positive_number(data, *link, "radius") or 0.0, *pitches)
+                yield from _too_large_inertia(data, link, length + 2 * wide)
         yield from _impossible_cables(data, i, arm, edges)
         ball = positive_number(data, *place, "servo", "radius")
         mass = positive_number(data, *place, "servo", "mass")
@@ -165,6 +168,13 @@ def _impossible_cables(
         yield _error((*place, "angles_deg"), "puts all cables at one place", None)
 
 
+def link_places(data: Any, i: int) -> list[Place]:
+    """Return where the rigid links of segment `i` stand: in its chain, or else its one link."""
+    place: Place = ("segments", i, "chain")
+    listed = _length(data, *place)
+    return [(*place, n) for n in range(min(listed, MOST_LINKS))] or [("segments", i, "link")]
+
+
 def _angles(data: Any, place: Place) -> list[float]:
     """Return the directions of a segment's cables in [rad]; none if one of them is no number."""
     try:
@@ -174,8 +184,10 @@ def _angles(data: Any, place: Place) -> list[float]:
         return []
 
 
-def _length(data: Any, key: str) -> int:
+def _length(data: Any, *place: str | int) -> int:
     try:
-        return len(data[key])
-    except (KeyError, TypeError):
+        for key in place:
+            data = data[key]
+        return len(data)
+    except (KeyError, IndexError, TypeError):
         return 0

@@ -29,6 +29,12 @@ def link_poses(robot: Robot, position: Array) -> Poses:
     return Poses(np.concatenate([[base], base @ turns]), position[:3] + joints @ base.T)
 
 
+def tip_at_start(robot: Robot) -> Array:
+    """Return where the tip is at the start, in the world frame, shape (3,), in [m]."""
+    position = [*robot.base.position, *robot.base.quaternion, *robot.num_cables * [0.0]]
+    return link_poses(robot, np.array([*position, *robot.start_angles])).joint[-1]
+
+
 class Arms(NamedTuple):
     """The arms of n copies in the base's frame; J links, H hinges."""
 

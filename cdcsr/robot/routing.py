@@ -58,6 +58,9 @@ class Routing(NamedTuple):
     """Distance of the slider below the first guide at rest, shape (C,), in [m]."""
     rest_length: Array
     """Length at the start, shape (C,), in [m]."""
+    bent: Array
+    """How much longer the cables are at the start than along the straight arm, shape (C,), in
+    [m]; zero without rest angles."""
     hinges: NDArray[np.int64]
     """The numbers of each joint's hinges, the lowest first, shape (J, 3); -1 is no hinge."""
     axes: NDArray[np.int64]
@@ -89,15 +92,21 @@ def routing(robot: Robot) -> Routing:
         for k, hinge in enumerate(joint.hinges):
             hinges[j, k], axes[j, k] = count, "xyz".index(hinge.axis)
             count += 1
-    return Routing(
+    route = Routing(
         np.array(place, dtype=float).reshape(-1, 2),
         np.array(offset, dtype=float),
         np.array(joints, dtype=np.int64),
         np.array(slider, dtype=float),
         np.array(rest, dtype=float),
+        np.zeros(len(rest)),
         hinges,
         axes,
     )
+    start = np.array(robot.start_angles)
+    if not start.any():
+        return route
+    bent = cable_lengths(route, np.zeros(len(rest)), start) - route.rest_length
+    return route._replace(rest_length=route.rest_length + bent, bent=bent)
 
 
 def cable_lengths(route: Routing, travel: Array, hinges: Array) -> Array:
@@ -113,7 +122,8 @@ def cable_lengths(route: Routing, travel: Array, hinges: Array) -> Array:
     """
     length, _ = _crossings(route, hinges)
     excess = (length - 2 * route.guide_offset[:, None]).sum(axis=-1)
-    return route.rest_length - route.slider_offset + np.abs(route.slider_offset - travel) + excess
+    straight = route.rest_length - route.bent - route.slider_offset
+    return straight + np.abs(route.slider_offset - travel) + excess
 
 
 def cable_jacobian(route: Routing, travel: Array, hinges: Array) -> Array:

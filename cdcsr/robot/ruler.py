@@ -111,7 +111,8 @@ def answer_time(robot: Robot) -> float:
 
     where 1 marks the hinges that the cable passes, F is the servo's largest force, and m, c and k
     are mass, friction and gain of its slider. The arm's inertia, dampers, springs and servos all
-    slow this down; the slowest of them sets the time. An arm without cables has the time of the
+    slow this down; the slowest of them sets the time. The plane is that in which most joints bend;
+    joints that do not bend in it are rigid. An arm without cables has the time of the
     paper's.
     """
     segments = [segment for segment in robot.segments if segment.cable_angles]
@@ -127,6 +128,10 @@ def answer_time(robot: Robot) -> float:
     springs, dampers = np.zeros((2, len(mass)))
     springs[hinges:] = [joint.stiffness for _, joint in robot.links]
     dampers[hinges:] = [joint.damping for _, joint in robot.links]
+    rigid = _rigid_joints(robot, hinges)
+    if rigid.any():
+        arm, tip, springs, dampers = (part[~rigid] for part in (arm, tip, springs, dampers))
+        mass = mass[np.ix_(~rigid, ~rigid)]
     along = np.outer(arm, arm)
     mass = mass + servo.mass * along
     damping = np.diag(dampers) + servo.damping * along
@@ -135,6 +140,13 @@ def answer_time(robot: Robot) -> float:
     goal = min(_FAR * robot.arm_length, 0.63 * moved.max())
     after = int(np.argmax(moved >= goal))
     return float(np.interp(goal, moved[after - 1 : after + 1], times[after - 1 : after + 1]))
+
+
+def _rigid_joints(robot: Robot, base: int) -> NDArray[np.bool_]:
+    """Tell which of the coordinates, `base` of the base and one a joint, cannot move in the plane
+    in which most joints bend."""
+    across = max("yx", key=lambda axis: sum(axis in joint.order for _, joint in robot.links))
+    return np.array([False] * base + [across not in joint.order for _, joint in robot.links])
 
 
 def _planar_mass(robot: Robot) -> tuple[Array, Array]:

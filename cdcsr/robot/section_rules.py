@@ -12,6 +12,7 @@ from cdcsr.robot.physical_rules import (
     broken_rule,
     errors_of_bodies,
     errors_of_magnitude,
+    link_places,
     positive_number,
 )
 
@@ -47,13 +48,17 @@ def errors_between_sections(data: Any) -> Iterator[InitErrorDetails]:
         if offset is None:
             continue
         for j in range(i + 1):
-            length = number("segments", j, "link", "length")
+            lengths = [(link, number(*link, "length")) for link in link_places(data, j)]
             rod, links = number("segments", j, "backbone", "length"), number("segments", j, "links")
-            if length is not None and offset >= length / 2:
+            short = [link for link, length in lengths if length and offset >= length / 2]
+            if short:
+                name = "".join(
+                    f"[{key}]" if isinstance(key, int) else f".{key}" for key in short[0]
+                )
                 yield error(
                     place,
                     "puts a guide outside its link: must be below half of "
-                    f"segments[{j}].link.length ({length / 2:g} m)",
+                    f"{name[1:]}.length ({(number(*short[0], 'length') or 0) / 2:g} m)",
                 )
                 break
             if rod is not None and links is not None and offset >= rod / links / 4:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import Annotated, Self, TypeVar
 
 from pydantic import Field, Strict, model_validator
@@ -46,39 +47,104 @@ class Servo(Part):
         return self.offset - self.radius
 
 
+class Taper(Part):
+    """How the links of a segment change from the first to the last, in between linearly."""
+
+    later = ("radius", "mass")
+    radius: Positive = 1.0
+    """Radius of the last link as a multiple of the first's."""
+    mass: Positive = 1.0
+    """Mass of the last link as a multiple of the first's. The moments of inertia across a link grow
+    with its mass, that along it with mass and radius squared."""
+
+
+class OwnLink(Link):
+    """One link of a segment whose links differ, with a joint of its own unless it has the
+    segment's."""
+
+    later = ("center", "joint")
+    joint: Joint | None = None
+
+    @property
+    def link(self) -> Link:
+        """The link without its joint."""
+        return Link(**{name: getattr(self, name) for name in Link.model_fields})
+
+
 class Segment(Part):
     """A group of links and the cables that end on the last of them.
 
-    Its links are equal and given by `link` and `joint`, or they are parts of a `backbone`. Without
-    `cables` and `servo` the segment is passive.
+    Its links are equal and given by `link` and `joint`, or listed one by one as `chain`, or they
+    are parts of a `backbone`. Without `cables` and `servo` the segment is passive.
     """
 
-    later = ("link", "joint", "backbone", "cables", "servo")
+    later = ("link", "joint", "taper", "chain", "backbone", "cables", "servo")
     links: Annotated[int, Field(ge=1)]
+    """How many links it has; may be left out where `chain` lists them."""
     own_link: Link | None = Field(None, alias="link")
     own_joint: Joint | None = Field(None, alias="joint")
+    taper: Taper | None = None
+    """How radius and mass of `link` change along the segment."""
+    own_chain: Annotated[tuple[OwnLink, ...], Strict(False)] = Field((), alias="chain")
+    """The links one by one, from the base outwards."""
     backbone: Backbone | None = None
     own_cables: Cables | None = Field(None, alias="cables")
     own_servo: Servo | None = Field(None, alias="servo")
 
+    @model_validator(mode="before")
+    @classmethod
+    def _count_links(cls, data: object) -> object:
+        if isinstance(data, Mapping) and "links" not in data:
+            chain = data.get("chain")
+            if isinstance(chain, list | tuple) and chain:
+                return {**data, "links": len(chain)}
+        return data
+
     @model_validator(mode="after")
     def _is_complete(self) -> Self:
-        given = [part is not None for part in (self.own_link, self.own_joint, self.backbone)]
-        if given not in ([True, True, False], [False, False, True]):
-            raise ValueError("needs either link and joint, or backbone")
+        if self.own_chain:
+            self._check_chain()
+        else:
+            given = [part is not None for part in (self.own_link, self.own_joint, self.backbone)]
+            if given not in ([True, True, False], [False, False, True]):
+                raise ValueError("needs either link and joint, or backbone, or chain")
         if (self.own_cables is None) != (self.own_servo is None):
             raise ValueError("needs cables and servo, or neither")
+        if self.taper is not None and self.own_link is None:
+            raise ValueError("taper needs link; a backbone has end_radius, a chain lists its links")
+        if self.backbone is not None:
+            rest = max(abs(rate) for rate in (*self.backbone.curvature, self.backbone.twist))
+            most = self.backbone.limit * self.links / self.backbone.length
+            if rest > most:
+                raise ValueError(
+                    f"backbone's curvature and twist must be at most {most:g} rad/m, where its "
+                    f"hinges reach their limit, not {rest:g}"
+                )
         return self
+
+    def _check_chain(self) -> None:
+        if self.own_link is not None or self.backbone is not None:
+            raise ValueError("needs one of link, backbone and chain")
+        if self.links != len(self.own_chain):
+            raise ValueError(f"links must be {len(self.own_chain)}, as many as chain lists")
+        if self.own_joint is None and any(link.joint is None for link in self.own_chain):
+            raise ValueError("needs a joint in each link of chain, or joint for all")
 
     @property
     def link(self) -> Link:
-        """The link of a segment that has no backbone."""
-        return _there(self.own_link, "link: it is given by its backbone")
+        """The first link of a segment that has no backbone."""
+        return self._first[0]
 
     @property
     def joint(self) -> Joint:
-        """The joint of a segment that has no backbone."""
-        return _there(self.own_joint, "joint: it is given by its backbone")
+        """The first joint of a segment that has no backbone."""
+        return self._first[1]
+
+    @property
+    def _first(self) -> tuple[Link, Joint]:
+        if self.backbone is not None:
+            raise CdcsrError("This segment has no link or joint: they are given by its backbone.")
+        return self.pairs[0]
 
     @property
     def cables(self) -> Cables:
@@ -101,16 +167,30 @@ class Segment(Part):
         return self.backbone and self.backbone.piece(self.backbone.length / self.links / 2)
 
     @property
-    def chain(self) -> list[tuple[Link, Joint]]:
+    def pairs(self) -> list[tuple[Link, Joint]]:
         """Its links with their joints, without the next segment's stub."""
+        if self.own_chain:
+            return [
+                (link.link, link.joint or _there(self.own_joint, "joint"))
+                for link in self.own_chain
+            ]
         if self.backbone is None:
-            return [(self.link, self.joint)] * self.links
+            return self._equal_links
         cell = self.backbone.length / self.links
         lengths = [cell] * (self.links - 1) + [cell / 2]
         return [
-            (self.backbone.piece(length), self.backbone.joint(self.links, n))
+            (self.backbone.piece(length, (n + 0.5) * cell), self.backbone.joint(self.links, n))
             for n, length in enumerate(lengths)
         ]
+
+    @property
+    def _equal_links(self) -> list[tuple[Link, Joint]]:
+        link, joint = _there(self.own_link, "link"), _there(self.own_joint, "joint")
+        if self.taper is None or self.links == 1:
+            return [(link, joint)] * self.links
+        along = [n / (self.links - 1) for n in range(self.links)]
+        radius, mass = self.taper.radius - 1, self.taper.mass - 1
+        return [(link.scaled(1 + radius * part, 1 + mass * part), joint) for part in along]
 
 
 def _there(part: _Section | None, name: str) -> _Section:

@@ -26,7 +26,7 @@ def highest_speeds(robot: Robot) -> NDArray[np.float64]:
     less than :data:`MAX_TURN`; a hinge by less than from one of its limits to the other. So limits
     do not hide a hinge that shakes between them.
     """
-    hinges = [min(MAX_TURN, 2 * hinge.limit) for hinge in robot.hinges]
+    hinges = [min(MAX_TURN, hinge.upper - hinge.lower) for hinge in robot.hinges]
     length = [robot.arm_length]
     turns = [*3 * length, *3 * [MAX_TURN], *robot.num_cables * length, *hinges]
     return np.array(turns) / robot.time_step
@@ -63,7 +63,8 @@ def stable_step(robot: Robot) -> float:
     pull = max((servo.gain for servo in robot.servos), default=0.0)
     radius = max((s.cables.pitch_radius for s in robot.segments if s.cable_angles), default=0.0)
     for (lower, upper), (_, joint) in zip(pairwise(bodies), robot.links, strict=True):
-        tilt = sin(min(joint.limit, pi / 2)) ** 2
+        furthest = max(max(hinge.upper, -hinge.lower) for hinge in joint.hinges)
+        tilt = sin(min(furthest, pi / 2)) ** 2
         stiffness = joint.stiffness + passing * pull * radius**2
         for axis in (0, 1):
             least = [

@@ -104,16 +104,20 @@ def _section(annotation: object) -> type[BaseModel] | None:
 
 def line_number(text: str, place: tuple[str | int, ...]) -> int | None:
     """Return the line number that sets `place`, or else opens the innermost table around it."""
-    counts: dict[str, int] = {}
+    counts: dict[tuple[str | int, ...], int] = {}  # of the tables in each array of tables
     table: list[str | int] = []
     best, best_depth = None, 0
     for number, raw in enumerate(text.splitlines(), start=1):
         line = raw.split("#")[0].strip()
         if line.startswith("["):
             keys = line.strip("[] \t").replace(" ", "").split(".")
-            if line.startswith("[["):
-                counts[keys[0]] = counts.get(keys[0], -1) + 1
-            table = [keys[0], counts[keys[0]], *keys[1:]] if keys[0] in counts else list(keys)
+            table = []
+            for depth, key in enumerate(keys, start=1):
+                table.append(key)
+                if line.startswith("[[") and depth == len(keys):
+                    counts[tuple(table)] = counts.get(tuple(table), -1) + 1
+                if tuple(table) in counts:
+                    table.append(counts[tuple(table)])
             here = tuple(table)
         elif "=" in line:
             here = (*table, *line.split("=")[0].strip().replace(" ", "").split("."))

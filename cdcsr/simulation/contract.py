@@ -39,7 +39,8 @@ Ids = Sequence[int] | NDArray[np.integer] | NDArray[np.bool_] | None
 
 
 class Simulation(ABC):
-    """`num` copies of a robot in one engine; they start straight and at rest.
+    """`num` copies of a robot in one engine; they start at rest, with all hinges at their rest
+    angles: straight, unless the description says otherwise.
 
     Args:
         robot: the description.
@@ -140,7 +141,7 @@ class Simulation(ABC):
         self._set_loads()
 
     def reset(self, ids: Ids = None) -> None:
-        """Put copies back to the start: straight, at rest, time zero.
+        """Put copies back to the start: hinges at their rest angles, no motion, time zero.
 
         Other copies and all parameters stay as they are. If a parameter has shortened a cable, its
         slider begins where the cable is just taut.

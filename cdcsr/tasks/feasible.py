@@ -10,8 +10,9 @@ from numpy.typing import NDArray
 
 from cdcsr.errors import CdcsrError
 from cdcsr.robot.description import Robot
+from cdcsr.robot.poses import tip_at_start
 from cdcsr.robot.ruler import ruler
-from cdcsr.simulation.rotations import rotation_matrix
+from cdcsr.simulation.rotations import at_start
 from cdcsr.tasks.catalogue import TASKS, make_task
 from cdcsr.tasks.spaces import BALLS, Space
 from cdcsr.tasks.task import Task
@@ -80,16 +81,12 @@ def check_targets(robot: Robot, task: Task, space: Space, bent: bool = False) ->
             reach.
     """
     targets = space.sample(np.random.default_rng(0), _DRAWN)
-    turn = rotation_matrix(np.array([robot.base.quaternion]))[0]
-    joint, tip = (
-        np.array(robot.base.position) + turn @ [0.0, 0.0, height]
-        for height in (robot.first_joint, robot.top + robot.arm_length)
-    )
+    joint, tip = at_start(robot, [0.0, 0.0, robot.first_joint]), tip_at_start(robot)
     solved = float((np.linalg.norm(targets - tip, axis=1) <= task.threshold).mean())
     if solved > _MOST_SOLVED and not bent:
         raise CdcsrError(
             f"{solved:.0%} of the targets in the space {space.name!r} lie within the threshold of "
-            f"{task.threshold:g} m of the straight arm's tip, at {_place(tip)}: the task "
+            f"{task.threshold:g} m of the tip at the start, at {_place(tip)}: the task "
             f"{task.name!r} is solved there before anything is done. Move the workspace of "
             f"{robot.name!r} away from the tip, or take a smaller threshold or radius."
         )

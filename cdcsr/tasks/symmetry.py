@@ -2,9 +2,9 @@
 
 The robot is built around the z axis: its bodies are symmetric, and the mirror image of a hinge
 about x, y or z is such a hinge. So the image of the robot in the plane x = 0, in y = 0, or in both
-(a half-turn) is the robot itself if the same holds for the cables of every segment, for gravity and
-for the place of the base. Given the image of a command, the robot then does the image of what it
-does given the command, in any engine.
+(a half-turn) is the robot itself if the same holds for the cables of every segment, for the rest
+angles and limits of all hinges, for gravity and for the place of the base. Given the image of a
+command, the robot then does the image of what it does given the command, in any engine.
 """
 
 from __future__ import annotations
@@ -62,6 +62,10 @@ def _cables(robot: Robot, x: int, y: int) -> list[int] | None:
     two cables at the same angle leave that open."""
     if x == y == 1:
         return list(range(robot.num_cables))
+    axial = {"x": y, "y": x, "z": x * y}  # the sign that a hinge's angle gets
+    for hinge in robot.hinges:
+        if axial[hinge.axis] < 0 and (hinge.rest or hinge.lower != -hinge.upper):
+            return None
     base = robot.base
     across = [vector[axis] for vector in (base.position, robot.gravity) for axis in _crossed(x, y)]
     if any(across) or base.quaternion != (1.0, 0.0, 0.0, 0.0):

@@ -50,15 +50,24 @@ def _segments(draw: st.DrawFn, offset: float) -> dict[str, Any]:
             "inner_radius": draw(between(0, 0.015)),
             "damping_time": draw(between(0.01, 0.1)),
             "torsion": draw(st.booleans()),
+            "curvature": (draw(between(-1, 1)), draw(between(-1, 1))),
         }
+        if draw(st.booleans()):
+            rod |= {"end_radius": draw(between(0.02, 0.05))}
         return {"links": links, "backbone": rod}
     length, mass = offset * draw(between(2.2, 5)), draw(between(0.1, 5))
     links, joint = _numbers(draw, length, mass)
     links["link"]["center"] = length * draw(between(0.01, 1))
-    joint["order"] = draw(st.sampled_from(["xy", "yx"]))
+    joint["order"] = draw(st.sampled_from(["xy", "yx", "x", "y"]))
+    lower = -draw(between(0.5, 1))
+    joint |= {"lower": lower, "rest": tuple(draw(between(lower, 0.5)) for _ in joint["order"])}
     if draw(st.booleans()):
-        joint["torsion"] = {key: joint[key] for key in ("stiffness", "damping", "limit")}
-    return {**links, "joint": joint}
+        joint["torsion"] = {key: joint[key] for key in ("stiffness", "damping", "limit", "lower")}
+    if draw(st.booleans()):
+        links["taper"] = {"radius": draw(between(0.8, 1)), "mass": draw(between(0.5, 2))}
+        return {**links, "joint": joint}
+    other = {"length": 1.5 * length, "joint": joint | {"order": "y", "rest": ()}}
+    return {"chain": [links["link"], links["link"] | other], "joint": joint}
 
 
 @st.composite

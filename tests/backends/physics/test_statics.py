@@ -27,6 +27,9 @@ from tests.support.physics import (
     with_parts,
 )
 
+HINGE = ("stiffness", "rest")
+"""The numbers of a hinge on which its pose at rest depends."""
+
 
 def swing(robot: Robot) -> float:
     """Estimate the lowest frequency of the straight arm on its hinge springs in series, in
@@ -136,30 +139,34 @@ def check_rest(robot: Robot, engine: str, num: int, seed: int) -> None:
 
 
 def hanging_arm() -> Robot:
-    """Return an arm with a turned, fixed base under gravity: joints with torsion, of either order,
-    three cables, and a passive rod at the end."""
+    """Return an arm with a turned, fixed base under gravity: joints with torsion that rest bent,
+    links that taper, three cables, a joint that bends in a plane, and a passive rod at the end that
+    tapers and is curved at rest."""
     data = load_robot("planar-single").model_dump()
-    twist = {"stiffness": 2.0, "damping": 1.0, "limit": 1.5}
+    twist = {"stiffness": 2.0, "damping": 1.0, "limit": 1.5, "rest": -0.1}
+    bend = {"stiffness": 3.0, "damping": 1.5, "limit": 1.5, "order": "yx", "rest": (0.2, -0.1)}
     segment = {
         "links": 3,
         "link": {
             **{"length": 0.1, "radius": 0.02, "mass": 0.2, "center": 0.08},
             "inertia": (2e-3, 2e-3, 1e-3),
         },
-        "joint": {"stiffness": 3.0, "damping": 1.5, "limit": 1.5, "order": "yx", "torsion": twist},
+        "taper": {"radius": 0.8, "mass": 0.7},
+        "joint": bend | {"torsion": twist},
         "cables": {"angles_deg": (10, 130, 250), "pitch_radius": 0.03, "guide_offset": 0.01},
         "servo": data["segments"][0]["servo"] | {"gain": 400.0, "mass": 0.2},
     }
     rod = {
         **{"length": 0.3, "youngs_modulus": 5e7, "poissons_ratio": 0.3, "density": 4000.0},
-        **{"radius": 0.01, "damping_time": 0.3},
+        **{"radius": 0.011, "end_radius": 0.009, "damping_time": 0.3, "curvature": (1.0, -0.5)},
     }
+    hinged = [segment["link"] | {"joint": bend | {"order": "x", "rest": (0.3,)}}]
     base = {"mount": "fixed", "position": (1.0, 2.0, 3.0), "quaternion": (0.5, 0.5, -0.5, 0.5)}
     return changed(
         load_robot("planar-single"),
         base=data["base"] | base,
         gravity=(1.0, -2.0, -9.0),
-        segments=[segment, {"links": 3, "backbone": rod}],
+        segments=[segment, {"chain": hinged}, {"links": 3, "backbone": rod}],
         time_step=1e-3,
     )
 
@@ -173,13 +180,14 @@ def hanging_angles(command: tuple[float, ...]) -> Array:
     """
     robot = hanging_arm()
     fall = Rotation.from_quat(robot.base.quaternion, scalar_first=True).inv().apply(robot.gravity)
-    stiffness = np.array([hinge.stiffness for hinge in robot.hinges])
+    stiffness, rest = (np.array([getattr(h, key) for h in robot.hinges]) for key in HINGE)
+    at_start = taken_in(robot, rest)
     servo = robot.segments[0].servo
     sag = servo.mass * fall[2] / servo.gain
 
     def energy(hinges: Array) -> float:
-        low = np.maximum(taken_in(robot, hinges) - command - sag, 0)
-        total = 0.5 * stiffness @ hinges**2 + 0.5 * servo.gain * low @ low
+        low = np.maximum(taken_in(robot, hinges) - at_start - command - sag, 0)
+        total = 0.5 * stiffness @ (hinges - rest) ** 2 + 0.5 * servo.gain * low @ low
         for (link, _), (place, turn) in zip(robot.links, walk(robot, hinges), strict=True):
             total -= link.mass * fall @ (place + turn.apply([0, 0, link.center_of_mass]))
         return float(total)

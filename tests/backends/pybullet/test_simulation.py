@@ -82,7 +82,7 @@ def test_no_explicit_damper_is_unstable(robot: Robot) -> None:
     for trial in range(60):
         side = random.choice([-1, 0, 1], robot.num_hinges)
         bend = side if trial % 2 else random.uniform(-1, 1, robot.num_hinges)
-        position = np.r_[np.zeros(3), 1.0, np.zeros(3 + sliders), bend * numbers.limit[sliders:]]
+        position = np.r_[np.zeros(3), 1.0, np.zeros(3 + sliders), bend * numbers.upper[sliders:]]
         mass = equation.dynamics(position[None], still[None], plant).mass_matrix[0]
         stiff = stiff_dampers(numbers, plant, 0, position[7 + sliders :], step)
         heavy = mass + step * np.diag(np.r_[np.zeros(6), stiff])

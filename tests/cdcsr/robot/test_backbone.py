@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import re
+
 import numpy as np
 import pytest
 import trimesh
@@ -9,6 +11,8 @@ import trimesh
 from cdcsr.errors import CdcsrError
 from cdcsr.robot.description import Robot, load_robot, parse_robot
 from cdcsr.robot.parts import Backbone
+from cdcsr.simulation.engines import backend_names
+from tests.support.physics import running, walk
 from tests.support.rods import rod_robot
 
 STEEL = {
@@ -62,6 +66,30 @@ def test_all_pieces_together_have_the_mass_and_the_inertia_of_the_rod() -> None:
     assert mass == pytest.approx(whole)
     assert across == pytest.approx(whole * (0.6**2 / 3 + squares / 4))
     assert along == pytest.approx(whole * squares / 2)
+
+
+def test_a_tapered_rod_has_the_mass_inertia_and_compliance_of_its_shape() -> None:
+    """Against sums over 20,000 discs: mass, centre and moments of all pieces about the clamp, and
+    the bending under a torque at the tip, l / (E I), of each cell."""
+    robot = rod_robot(3, STEEL | {"end_radius": 0.0005})
+    stub = robot.segments[0].stub
+    assert stub is not None
+    found, height = np.zeros(4), 0.0
+    for link in (stub, *(link for link, _ in robot.links)):
+        z = height + link.center_of_mass
+        across = link.inertia[0] + link.mass * z**2
+        found += link.mass, link.mass * z, across, link.inertia[2]
+        height += link.length
+    z = (np.arange(20_000) + 0.5) * 0.6 / 20_000
+    outer = 0.0008 - 0.0003 * z / 0.6
+    squares = outer**2 * (1 + 0.5**2)
+    mass = 7870 * np.pi * outer**2 * (1 - 0.5**2) * 0.6 / 20_000
+    expected = [mass, mass * z, mass * (squares / 4 + z**2), mass * squares / 2]
+    np.testing.assert_allclose(found, np.sum(expected, axis=1), rtol=1e-7)
+    compliance = 0.6 / 20_000 / (200e9 * np.pi / 4 * outer**4 * (1 - 0.5**4))
+    for n, (_, joint) in enumerate(robot.links):
+        cell = compliance[(z > 0.2 * n) & (z < 0.2 * (n + 1))].sum()
+        assert joint.stiffness == pytest.approx(1 / cell, rel=1e-3)
 
 
 def test_a_piece_that_is_as_wide_as_long_has_the_inertia_of_its_shape() -> None:
@@ -130,6 +158,9 @@ def test_broken_backbones_are_refused() -> None:
     assert "inner_radius must be below radius" in _refused(
         "inner_radius = 0.0004", "inner_radius = 0.1"
     )
+    for more in ("curvature = [0.0, 1e3]", "twist = -1e3"):
+        message = _refused("radius = 0.0008", f"radius = 0.0008\n{more}")
+        assert "curvature and twist must be at most" in message
     assert "less than or equal to 0.5" in _refused("poissons_ratio = 0.33", "poissons_ratio = 0.6")
     assert "did you mean 'backbone'" in _refused("segments.backbone", "segments.backbon")
     message = _refused("[segments.backbone]", "[segments.joint]\nstiffness = 1.0")
@@ -144,3 +175,75 @@ def test_a_segment_has_either_links_or_a_backbone() -> None:
     del data["segments"][0]["backbone"], data["segments"][0]["servo"]
     with pytest.raises(ValueError, match="needs cables and servo, or neither"):
         Robot.model_validate(data)
+
+
+CHAIN = """
+name = "hand-made"
+time_step = 0.001
+base = { size = [0.3, 0.3, 0.3], mass = 10.0, inertia = [0.2, 0.2, 0.2] }
+constraint = { recovery_time = 0.002 }
+workspace = { center = [0.0, 0.0, 0.3], size = [0.1, 0.1, 0.1] }
+[[segments]]
+joint = { stiffness = 1.0, damping = 0.1, limit = 1.0, lower = -0.1, order = "y", rest = [0.2] }
+[[segments.chain]]
+length = 0.1
+radius = 0.01
+mass = 0.1
+inertia = [1e-4, 1e-4, 1e-5]
+[[segments.chain]]
+length = 0.2
+radius = 0.01
+mass = 0.1
+inertia = [1e-4, 1e-4, 1e-5]
+[segments.chain.joint]
+stiffness = 2.0
+damping = 0.1
+limit = 1.0
+rest = [0.1, -0.3]
+"""
+
+
+def test_links_one_by_one_have_their_own_numbers_and_joints() -> None:
+    robot = parse_robot(CHAIN)
+    assert [link.length for link, _ in robot.links] == [0.1, 0.2]
+    hinges = [(h.axis, h.stiffness, h.lower, h.upper, h.rest) for h in robot.hinges]
+    assert hinges == [("y", 1, -0.1, 1, 0.2), ("x", 2, -1, 1, 0.1), ("y", 2, -1, 1, -0.3)]
+    assert parse_robot(robot.to_toml()) == robot
+
+
+@pytest.mark.parametrize("engine", backend_names())
+def test_an_arm_starts_at_its_rest_angles_and_stays_there(engine: str) -> None:
+    """Without gravity and with free servos nothing moves, because no spring pulls; pushed hard, a
+    hinge stops at the lower of its two limits."""
+    servo = load_robot("paper").segments[0].servo.model_dump()
+    cables = {"angles_deg": [0.0, 180.0], "pitch_radius": 0.02, "guide_offset": 0.01}
+    data = parse_robot(CHAIN).model_dump()
+    driven = data["segments"][0] | {"cables": cables, "servo": servo | {"offset": 0.1}}
+    robot = Robot.model_validate(data | {"segments": [driven]})
+    with running(robot, engine) as simulation:
+        simulation.step(np.zeros((1, 2)), 100)
+        state = simulation.state()
+        np.testing.assert_allclose(state.joint_angles, [robot.start_angles], atol=1e-5)
+        place = walk(robot, np.array(robot.start_angles))[-1]
+        tip = place[0] + place[1].apply([0, 0, 0.2])
+        np.testing.assert_allclose(state.tip_position[0], tip, atol=1e-6)
+        simulation.step(np.array([[0.0, -2.0]]), 300)
+        # Stock MuJoCo gives way by up to 0.08 rad; the other limit is 1 rad away.
+        assert -0.2 < simulation.state().joint_angles[0, 0] < -0.09
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "message"),
+    [
+        ("mass = 0.1", "mass = -0.1", "line 12, segments[0].chain[0].mass: should be greater"),
+        ("rest = [0.1, -0.3]", "rest = [0.1]", "rest must have 2 angles"),
+        ("rest = [0.1, -0.3]", "rest = [0.1, 1.3]", "rest must lie between -1 and 1 rad"),
+        ("lower = -0.1", "lower = 0.1", "joint.lower: should be less than or equal to 0"),
+        ('order = "y"', 'order = "z"', "joint.order: should be 'xy', 'yx', 'x' or 'y'"),
+        ("[[segments]]", "[[segments]]\nlinks = 3", "links must be 2, as many as chain lists"),
+        ("joint = {", "taper = { mass = 0.5 }\njoint = {", "taper needs link"),
+    ],
+)
+def test_impossible_chains_are_refused(old: str, new: str, message: str) -> None:
+    with pytest.raises(CdcsrError, match=re.escape(message)):
+        parse_robot(CHAIN.replace(old, new, 1))
