@@ -6,7 +6,7 @@ INSTALLED := .venv/.installed
 PIP := $(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt
 
 .DEFAULT_GOAL := help
-.PHONY: help setup check test test-all coverage mutants demo view bench clean
+.PHONY: help setup check site test test-all coverage mutants demo view bench clean
 
 help:
 	@echo "make demo      train a small policy and show it in both engines, into demo/"
@@ -16,7 +16,8 @@ help:
 	@echo "make coverage  the fast tests, and the share of lines that they run"
 	@echo "make mutants   change the code in random places, and see whether tests notice (hours)"
 	@echo "make bench     measure speed and memory, times as ratios within one process"
-	@echo "make check     lint, format, types, import contract"
+	@echo "make check     lint, format, types, import contract, site"
+	@echo "make site      the documentation as web pages, into build/site"
 	@echo "make setup     create .venv with the versions in constraints.txt"
 	@echo "make clean     remove .venv, caches and build files"
 
@@ -41,6 +42,11 @@ check: setup
 	@$(BIN)/pyright
 	@echo "==> import contract"
 	@$(BIN)/lint-imports
+	@$(MAKE) --no-print-directory site
+
+site: setup
+	@echo "==> site, into build/site"
+	@$(BIN)/python -m sphinx -q -W --keep-going -b html docs build/site
 
 test: check
 	@echo "==> fast tests"

@@ -36,8 +36,9 @@ class JacobianController(Controller):
             another one, as all numbers here are to size, pace and pull.
         speed: largest tip speed wished for, in [m/s]; by default the robot's own, 2 m/s for that of
             the paper.
-        regularization: weight of |t|^2 against |v+ - v*|^2, in [(m/s/N)^2]; by default 1e-8.
-        calm: weight of the hinges' squared rates against |v+ - v*|^2 at the target, in [m^2]; used
+        regularization: weight of the squared tensions against the squared error of the tip's
+            velocity, in [(m/s/N)^2]; by default 1e-8.
+        calm: weight of the hinges' squared rates against that error at the target, in [m^2]; used
             only where the tip has to stay there; by default 0.02.
         calm_within: distance from the target at which that weight is half as large, in [m]; by
             default 0.1.
