@@ -64,7 +64,8 @@ def errors_of_magnitude(data: Any, place: Place = ()) -> Iterator[InitErrorDetai
         for key, value in data.items():
             yield from errors_of_magnitude(value, (*place, key))
     elif isinstance(data, list | tuple) and len(place) < _DEEPEST:
-        most = {"segments": MOST_SEGMENTS, "angles_deg": _MOST_CABLES}.get(str(place[-1:][0]), 500)
+        key = place[-1] if place else ""
+        most = {"segments": MOST_SEGMENTS, "angles_deg": _MOST_CABLES}.get(str(key), 500)
         if len(data) > most:
             yield _error(place, f"at most {most} are allowed", len(data))
             return

@@ -41,7 +41,8 @@ ENGINES = "tests/backends/contract tests/backends/physics/test_analytic.py "
 PACKAGES: dict[str, str] = {
     "cdcsr/robot": ENGINES + "tests/cdcsr/robot tests/backends/export tests/backends/mujoco "
     "tests/training/commands/test_new_robot.py",
-    "cdcsr/tasks": "tests/cdcsr/tasks tests/cdcsr/envs tests/controllers/test_workspace.py",
+    "cdcsr/tasks": "tests/cdcsr/tasks tests/cdcsr/envs tests/controllers/test_workspace.py "
+    "tests/cdcsr/robot/test_ruler.py",
     "backends/mujoco": ENGINES + "tests/backends/mujoco tests/backends/export",
     "backends/pybullet": ENGINES + "tests/backends/pybullet tests/backends/export",
     "backends/export": "tests/backends/export",
@@ -59,7 +60,7 @@ OPERATORS = [
 of a number is a warning, which fails at once."""
 LOADED = "numpy scipy.optimize torch mujoco pybullet numba pydantic gymnasium minari"
 """Packages that are loaded once, before the processes of the tests part from this one."""
-BUDGET = 40.0
+BUDGET = 30.0
 """Seconds of tests, by their time without a change, that a change gets."""
 TIMEOUT = 300.0
 """Seconds after which a change that keeps the tests busy counts as noticed."""

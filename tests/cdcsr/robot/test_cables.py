@@ -7,6 +7,7 @@ import pytest
 
 from cdcsr.errors import CdcsrError
 from cdcsr.robot.description import Robot, load_robot, parse_robot, shipped_robots
+from cdcsr.robot.poses import link_poses
 from cdcsr.robot.routing import Array, cable_jacobian, cable_lengths, routing
 
 
@@ -101,6 +102,42 @@ def test_jacobian_is_the_derivative_of_length(robot: Robot, seed: int) -> None:
     np.testing.assert_allclose(
         cable_jacobian(route, travel, hinges), np.stack(columns, axis=-1), atol=2e-9
     )
+
+
+def test_cables_over_joints_of_any_kind_against_the_poses_of_their_guides() -> None:
+    """A rod whose joints twist too, and bend about x or about y first."""
+    data = load_robot("three-segment").model_dump()
+    keep = {name: data["segments"][0][name] for name in ("links", "cables", "servo")}
+    backbone = {"length": 1.0, "radius": 0.02, "youngs_modulus": 1e7, "poissons_ratio": 0.3}
+    keep["backbone"] = {**backbone, "density": 1000.0, "damping_time": 0.1}
+    robot = Robot.model_validate(data | {"segments": [keep, *data["segments"][1:]]})
+    route = routing(robot)
+    assert not route.is_universal
+    travel, hinges = random_state(robot, 3, (2,))
+    position = np.concatenate(
+        [np.zeros((2, 3)), np.tile([1.0, 0, 0, 0], (2, 1)), travel, hinges], 1
+    )
+    for row in range(2):
+        poses = link_poses(robot, position[row])
+        for c, joints in enumerate(route.joints):
+            place, offset = np.append(route.place[c], 0.0), np.array([0, 0, route.guide_offset[c]])
+            slider = place - offset - [0, 0, route.slider_offset[c] - travel[row, c]]
+            points = [poses.joint[0] + slider]
+            for n in range(joints):
+                points.append(poses.joint[n] + poses.axes[n] @ (place - offset))
+                points.append(poses.joint[n] + poses.axes[n + 1] @ (place + offset))
+            last = poses.joint[joints] + poses.axes[joints] @ (place - offset)
+            expected = np.linalg.norm(np.diff([*points, last], axis=0), axis=1).sum()
+            found = cable_lengths(route, travel[row], hinges[row])[c]
+            assert found == pytest.approx(expected, rel=1e-13)
+    step, jacobian = 1e-6, cable_jacobian(route, travel, hinges)
+    for i in range(robot.num_hinges):
+        ahead, behind = hinges.copy(), hinges.copy()
+        ahead[:, i] += step
+        behind[:, i] -= step
+        change = cable_lengths(route, travel, ahead) - cable_lengths(route, travel, behind)
+        column = jacobian[..., robot.num_cables + i]
+        np.testing.assert_allclose(column, change / (2 * step), atol=2e-9)
 
 
 def test_pulling_a_slider_lengthens_its_own_cable_and_no_other(robot: Robot) -> None:

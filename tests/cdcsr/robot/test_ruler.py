@@ -11,8 +11,9 @@ import pytest
 from cdcsr.envs.gym_env import TaskVectorEnv
 from cdcsr.errors import CdcsrError
 from cdcsr.robot.description import Robot, load_robot, parse_robot, shipped_robots
-from cdcsr.robot.ruler import answer_time, ruler
+from cdcsr.robot.ruler import _planar_mass, answer_time, ruler
 from cdcsr.robot.scale import Scale
+from cdcsr.simulation.engines import make_simulation
 from cdcsr.tasks.catalogue import TASKS, make_task
 from cdcsr.tasks.feasible import adjusted, check_targets
 from cdcsr.tasks.observation import PARTS, input_scale
@@ -111,6 +112,52 @@ servo = {{ mass = 0.1, damping = 0.0, gain = {gain}, eta = {eta}, radius = 0.01,
     amplitude = gain * eta * radius / (gain * radius**2)
     expected = math.acos(1 - 1 / 12 / amplitude) / math.sqrt(gain * radius**2 / whole)
     assert answer_time(robot) == pytest.approx(expected, rel=0.05)
+
+
+@pytest.mark.parametrize("mount", ["free", "fixed"])
+def test_the_mass_matrix_in_the_plane_is_the_engines(mount: str) -> None:
+    """MuJoCo's mass matrix of the straight arm, at shift along x, tilt and bend about y. The upper
+    segment is lighter, and its links' centres of mass are not in their middles. Sliders, which move
+    with the base, weigh nothing."""
+    data = PAPER.model_dump()
+    for segment in data["segments"]:
+        segment["servo"]["mass"] = 1e-8
+    data["base"] |= {"mount": mount, "mass": 20.0, "inertia": (4.0, 3.5, 5.0)}
+    data["segments"][1]["link"] |= {"mass": 0.4, "center": 0.13, "inertia": (0.0052, 0.005, 3e-4)}
+    robot = Robot.model_validate(data)
+    mass, tip = _planar_mass(robot)
+    simulation = make_simulation(robot, "mujoco")
+    dynamics = simulation.dynamics()
+    simulation.close()
+    first = 6 + robot.num_cables
+    plane = [0, 4] if mount == "free" else []
+    plane += range(first + 1, first + robot.num_hinges, 2)
+    whole = dynamics.mass_matrix[0][np.ix_(plane, plane)]
+    np.testing.assert_allclose(mass, whole, rtol=1e-7)
+    np.testing.assert_allclose(tip, dynamics.tip_jacobian[0][0, plane], rtol=1e-9, atol=1e-12)
+
+
+def test_the_section_of_a_rulers_numbers_gives_the_same_ruler_to_the_robot() -> None:
+    robot = _resized(0.5, 0.2)
+    own = ruler(robot)
+    assert (own.size, own.pace, own.speed) == (
+        0.5,
+        pytest.approx(0.2, rel=1e-2),
+        own.size / own.pace,
+    )
+    again = ruler(robot.model_copy(update={"scale": own.scale}))
+    assert again == own
+    assert own.scale.length == pytest.approx(1.2)
+    assert own.scale.time == pytest.approx(answer_time(robot), rel=5e-3)
+
+
+def test_an_arm_without_cables_has_the_pace_of_the_papers() -> None:
+    data = PAPER.model_dump()
+    for segment in data["segments"]:
+        segment["cables"] = segment["servo"] = None
+    robot = Robot.model_validate(data)
+    assert (ruler(robot).pace, ruler(robot).travel, ruler(robot).pull) == (1.0, 1.0, 1.0)
+    assert answer_time(robot) == pytest.approx(answer_time(PAPER), rel=1e-4)
 
 
 def test_numbers_of_the_description_come_first() -> None:

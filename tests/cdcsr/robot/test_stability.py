@@ -9,8 +9,8 @@ import pytest
 
 from cdcsr.cli import run
 from cdcsr.errors import CdcsrWarning, Diverged
-from cdcsr.robot.description import load_robot, shipped_robots
-from cdcsr.robot.stability import stable_step
+from cdcsr.robot.description import Robot, load_robot, shipped_robots
+from cdcsr.robot.stability import highest_speeds, stable_step, too_fast
 from cdcsr.simulation.engines import backend_names, make_simulation
 from tests.support.physics import with_parts
 from training.commands.build_model import build_model
@@ -34,6 +34,61 @@ def test_the_bound_is_safe_and_near_the_fastest_mode(name: str) -> None:
     fastest = np.linalg.eigvals(np.linalg.solve(mass, np.diag(stiffness))).real.max()
     largest = 2 / np.sqrt(fastest)
     assert stable_step(robot) <= largest <= 4 * stable_step(robot)
+
+
+def test_the_bound_of_one_joint_by_hand() -> None:
+    """A base and a link of unequal moments on a spring, and each kind of spring the stiffest."""
+    mass, inertia = 1.0, (0.0205, 0.02, 0.001)
+    weak = {"stiffness": 0.0, "damping": 0.0, "limit": 0.1}
+    servo = {"mass": 0.25, "damping": 1.0, "gain": 1e-9, "eta": 1.0, "radius": 0.01, "offset": 0.1}
+
+    def made(joint: dict[str, object], **changes: object) -> Robot:
+        robot = load_robot("planar-single").model_dump()
+        link = {"length": 0.2, "radius": 0.02, "mass": mass, "inertia": inertia}
+        (segment,) = robot["segments"]
+        segment |= {"links": 1, "link": link, "joint": weak | joint, "servo": {**servo, **changes}}
+        robot["base"] |= {"inertia": (0.06, 0.05, 0.08), "mass": 1.0, "size": (0.4, 0.4, 0.4)}
+        return Robot.model_validate(robot)
+
+    def least(body: tuple[float, float, float], axis: int) -> float:
+        """Return the least moment about an axis that is tilted by up to 0.1 rad towards z."""
+        return min(body[axis], body[axis] * np.cos(0.1) ** 2 + body[2] * np.sin(0.1) ** 2)
+
+    base = (0.06, 0.05, 0.08)
+    moments = max(sum(1 / least(body, axis) for body in (base, inertia)) for axis in (0, 1))
+    bent = made({"stiffness": 7.0})
+    assert stable_step(bent) == pytest.approx(2 / np.sqrt(4 * 7 * moments), rel=1e-6)
+    torsion = {"stiffness": 3.0, "damping": 0.0, "limit": 0.1}
+    twisted = made({"torsion": torsion})
+    expected = 2 / np.sqrt(4 * 3 * (1 / 0.08 + 1 / 0.001))
+    assert stable_step(twisted) == pytest.approx(expected, rel=1e-6)
+    pulled = made({}, gain=900.0)  # each of the four cables, 0.02 m aside, is a spring
+    across = 4 * (4 * 900 * 0.02**2) * moments
+    assert stable_step(pulled) == pytest.approx(2 / np.sqrt(max(across, 900 / 0.25)), rel=1e-6)
+    heavy = made({}, gain=1e-3, mass=1e-9)
+    assert stable_step(heavy) == pytest.approx(2 / np.sqrt(1e-3 / 1e-9), rel=1e-6)
+    fixed = bent.base.model_copy(update={"mount": "fixed"})
+    alone = max(1 / least(inertia, axis) for axis in (0, 1))
+    held = stable_step(bent.model_copy(update={"base": fixed}))
+    assert held == pytest.approx(2 / np.sqrt(4 * 7 * alone), rel=1e-6)
+
+
+def test_speeds_that_no_step_can_follow() -> None:
+    """In one step of 2.5 ms: the arm's 2.4 m, half a radian, and less between narrow limits."""
+    robot = load_robot("paper")
+    highest = highest_speeds(robot)
+    assert highest[:3].tolist() == [2.4 / 0.0025] * 3
+    assert highest[3:6].tolist() == [0.5 / 0.0025] * 3
+    assert highest[6:14].tolist() == [2.4 / 0.0025] * 8
+    assert highest[14:].tolist() == [0.5 / 0.0025] * 24
+    narrow = highest_speeds(with_parts(robot, joint={"limit": 0.1}))
+    assert narrow[14:].tolist() == [0.2 / 0.0025] * 24
+    speeds = np.zeros(len(highest))
+    speeds[2], speeds[20] = 950.0, -300.0  # 0.99 and 1.5 of what is possible
+    text = too_fast(speeds, highest)
+    assert text == "coordinate 20 moves at 300, more than 200"
+    speeds[0] = np.nan
+    assert too_fast(speeds, highest) == "velocities are no longer finite"
 
 
 @pytest.mark.parametrize("engine", [*backend_names(), "pybullet-stock:max_joint_speed=20"])

@@ -16,6 +16,7 @@ from cdcsr.tasks.observation import (
     DISTANCE,
     SLICES,
     TIP_POSITION,
+    error_scale,
     input_offset,
     input_scale,
     observation_size,
@@ -103,8 +104,10 @@ def test_a_network_sees_the_middle_of_the_workspace_at_rest_as_zero() -> None:
     np.testing.assert_array_equal(offset[TARGET_PART], robot.workspace.center)
     assert offset[BASE_QUATERNION].tolist() == [1, 0, 0, 0]
     assert np.count_nonzero(offset) == 2 * np.count_nonzero(robot.workspace.center) + 1
-    assert scale[CABLE_TRAVEL].tolist() == [0.03] * robot.num_cables
-    assert scale[DISTANCE] == 0.3
+    # Tip and target, their distance; place and turn of the base; its motion; cable travel.
+    tip, base = [0.3] * 3 + [1.0] * 3 + [0.3] * 4, [0.1] * (3 + 4 + 3 + 3)
+    assert scale.tolist() == tip + base + [0.03] * 8
+    assert error_scale(robot) == 0.1
 
 
 def test_distance_is_from_tip_to_target(state: State) -> None:
