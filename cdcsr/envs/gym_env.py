@@ -22,6 +22,7 @@ from cdcsr.simulation.arguments import MOST_COPIES, MOST_SEED, MOST_SKIP, as_flo
 from cdcsr.simulation.contract import Snapshot, State
 from cdcsr.simulation.engines import make_simulation
 from cdcsr.simulation.randomization import Randomization
+from cdcsr.simulation.turns import taking_turns
 from cdcsr.tasks.catalogue import actions_per_episode, make_task
 from cdcsr.tasks.observation import observation_size, observe
 from cdcsr.tasks.spaces import Space, make_space
@@ -38,6 +39,7 @@ _SNAPSHOT = ("time", "position", "velocity", "private")
 """The arrays of a snapshot that are always there."""
 
 
+@taking_turns
 class TaskVectorEnv(VectorEnv[Array, Array, NDArray[np.generic]]):
     """Many robots at a task, stepped as one batch by the engine.
 

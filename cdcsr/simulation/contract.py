@@ -33,11 +33,13 @@ from cdcsr.simulation.delay_line import DelayLine
 from cdcsr.simulation.loads import Loads
 from cdcsr.simulation.plant import Parameters, Plant
 from cdcsr.simulation.state import Array, Dynamics, Snapshot, State
+from cdcsr.simulation.turns import taking_turns
 
 Ids = Sequence[int] | NDArray[np.integer] | NDArray[np.bool_] | None
 """Which copies: sorted unique indices, a mask of shape (num,), or None for all copies."""
 
 
+@taking_turns
 class Simulation(ABC):
     """`num` copies of a robot in one engine; they start at rest, with all hinges at their rest
     angles: straight, unless the description says otherwise.
@@ -47,9 +49,9 @@ class Simulation(ABC):
         num: how many copies.
         options: how the engine steps; None for its defaults.
 
-    Commands are servo set-points, shape (num, C), in [-eta, 0] m. Engines do not clip them.
-
-    After `close()` all else raises :class:`CdcsrError`. What `copy` and `pickle` make is its own.
+    Commands are servo set-points, shape (num, C), in [-eta, 0] m. Engines do not clip them. After
+    `close()` all else raises :class:`CdcsrError`. What `copy` and `pickle` make is its own. Several
+    threads may call one simulation; calls wait for each other.
 
     Attributes:
         options: how the engine steps.

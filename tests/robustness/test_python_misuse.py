@@ -158,6 +158,7 @@ def refused(misuses: Iterator[Misuse], subject: object) -> int:
         else:
             pytest.fail(f"{what[:200]} is accepted")
         assert len(message) < 2000, what[:200]
+    print(f"{type(subject).__name__}: {len(calls)} wrong calls refused")
     return len(calls)
 
 
