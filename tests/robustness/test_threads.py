@@ -38,7 +38,7 @@ def together(*calls: Callable[[], object]) -> list[BaseException]:
     for one in threads:
         one.start()
     for one in threads:
-        one.join(60)
+        one.join(300)  # the first call may compile
     assert not any(one.is_alive() for one in threads), "a thread hangs"
     return raised
 
