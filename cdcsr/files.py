@@ -226,6 +226,21 @@ def refuse_unwritable(path: Path) -> None:
         raise CdcsrError(f"Cannot write {path}: {above} may not be written to.")
 
 
+def refuse_taken(path: Path, force: bool) -> None:
+    """Check before long work that a new file can be written, as :func:`refuse_unwritable` does.
+
+    Args:
+        path: the file.
+        force: a file that is there already may be replaced.
+
+    Raises:
+        CdcsrError: it cannot be written, or is there already.
+    """
+    refuse_unwritable(path)
+    if path.is_file() and not force:
+        raise CdcsrError(f"{path} already exists; give another name, or --force to replace it.")
+
+
 def _look(path: Path) -> os.stat_result | None:
     """Return what the system knows of what is at a path, links followed; None if nothing is there.
 

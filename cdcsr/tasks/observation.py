@@ -30,6 +30,14 @@ _WIDTHS = {
     "axial vector": 3,
     "per cable": 0,
 }
+_UNITS: dict[Kind, str] = {
+    "position": "m",
+    "velocity": "m/s",
+    "scalar": "m",
+    "quaternion": "1",
+    "axial vector": "rad/s",
+    "per cable": "m",
+}
 
 
 @dataclass(frozen=True)
@@ -45,6 +53,11 @@ class Part:
     centre: Literal["zero", "workspace", "base position", "base quaternion"] = "zero"
     """The value that a network sees as zero: zero, the middle of the robot's workspace in [m], or
     where its base starts."""
+
+    @property
+    def unit(self) -> str:
+        """The unit of its numbers; those of a quaternion, in the order w-x-y-z, have none: "1"."""
+        return _UNITS[self.kind]
 
     def width(self, num_cables: int) -> int:
         """Return how many numbers of the observation this part takes."""

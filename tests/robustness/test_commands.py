@@ -107,6 +107,7 @@ WORKING = {
     "experiments": "table2 --list --budget quick --store full",
     "validate": "cosserat none",
     "doctor": "",
+    "export": "nobody --out new.onnx",
     "demo": "--out new --minutes 1",
     "bench": "none",
     "train": "--out new --algorithm bc --robot planar-single --learner.bc-updates 1",

@@ -27,12 +27,17 @@ class Encoder(nn.Module):
 
     offset: Tensor
     scale: Tensor
+    error_scale: Tensor
 
     def __init__(self, robot: Robot, with_error: bool) -> None:
         super().__init__()
         self.register_buffer("offset", torch.tensor(input_offset(robot), dtype=torch.float32))
         self.register_buffer("scale", torch.tensor(input_scale(robot), dtype=torch.float32))
-        self.with_error, self._error_scale = with_error, error_scale(robot)
+        # In no file of weights, as it follows from the robot; a tensor, so that it has the type of
+        # the other numbers, which exporters keep.
+        error = torch.tensor(error_scale(robot), dtype=torch.float32)
+        self.register_buffer("error_scale", error, persistent=False)
+        self.with_error = with_error
         self.size = observation_size(robot) + 3 * with_error
 
     def forward(self, observation: Tensor) -> Tensor:
@@ -40,5 +45,5 @@ class Encoder(nn.Module):
         encoded = (observation - self.offset) / self.scale
         if not self.with_error:
             return encoded
-        error = (observation[..., TARGET] - observation[..., TIP_POSITION]) / self._error_scale
+        error = (observation[..., TARGET] - observation[..., TIP_POSITION]) / self.error_scale
         return torch.cat([encoded, error], dim=-1)
