@@ -93,6 +93,29 @@ def test_a_parameter_is_as_if_written_into_the_description(
     )
 
 
+@pytest.mark.parametrize("factor", [0.7, 1.4])
+@pytest.mark.parametrize(
+    "name", ["base_mass", "base_inertia", "link_mass", "link_inertia", "joint_damping"]
+)
+def test_heavier_and_lighter_parts_are_as_if_written(
+    make: Make, paper: Robot, name: str, factor: float
+) -> None:
+    """MuJoCo makes constraints softer or harder by masses, and must do it again if one changes,
+    up or down."""
+    section, key = PLACES[name]
+    data = paper.model_dump()
+    tables = [data["base"]] if section == "base" else [s[section] for s in data["segments"]]
+    for table in tables:
+        table[key] = (np.array(table[key]) * factor).tolist()
+    copy, described = make("mujoco", paper), make("mujoco", Robot.model_validate(data))
+    parts = 1 if section == "base" else paper.num_links
+    copy.set_parameters(None, Parameters(**{name: np.full((1, parts), factor)}))
+    for command in commands_of(paper, 30, 1, hold=10):
+        copy.step(command)
+        described.step(command)
+    np.testing.assert_array_equal(copy.get_snapshot().position, described.get_snapshot().position)
+
+
 def test_a_longer_cable_is_one_whose_slider_begins_further_down(
     make: Make, engine: str, paper: Robot
 ) -> None:

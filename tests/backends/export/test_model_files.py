@@ -7,6 +7,7 @@ import subprocess
 import sys
 from pathlib import Path
 
+import mujoco
 import numpy as np
 import pytest
 
@@ -14,6 +15,7 @@ from cdcsr.errors import CdcsrError
 from cdcsr.files import JsonObject
 from cdcsr.robot.description import Robot, load_robot
 from cdcsr.robot.routing import routing
+from cdcsr.simulation.cameras import CAMERAS
 from cdcsr.simulation.engines import make_simulation
 from tests.support.physics import described_bodies
 from tests.support.random_robots import KINDS
@@ -238,3 +240,24 @@ def test_a_stranger_drives_the_files(engine: str, place: str, tmp_path: Path) ->
     simulation.close()
     assert np.linalg.norm(moved) > 0.1
     assert np.linalg.norm(tip - start - moved) < 0.05 * np.linalg.norm(moved)
+
+
+def test_the_cameras_of_a_file_look_at_the_robots_middle(tmp_path: Path) -> None:
+    """From 1.6 times its extent away, upright, and by the angles of the named view: azimuth 0 and
+    elevation 0 look along +y, and a negative elevation looks down."""
+    build_model("paper", out=tmp_path / "out", backend="mujoco")
+    model = mujoco.MjModel.from_xml_path(str(tmp_path / "out" / "paper.xml"))
+    data = mujoco.MjData(model)
+    mujoco.mj_forward(model, data)
+    assert {model.camera(i).name for i in range(model.ncam)} == set(CAMERAS)
+    for name, (azimuth, elevation) in CAMERAS.items():
+        x, y, z = data.camera(name).xmat.reshape(3, 3).T  # the camera looks along -z
+        apart = model.stat.center - data.camera(name).xpos
+        distance = np.linalg.norm(apart)
+        assert distance == pytest.approx(1.6 * model.stat.extent, rel=1e-5)
+        np.testing.assert_allclose(-z, apart / distance, atol=1e-5)
+        assert x[2] == pytest.approx(0, abs=1e-6)
+        assert y[2] == pytest.approx(np.cos(np.deg2rad(elevation)), abs=1e-5)
+        a, e = np.deg2rad(azimuth), np.deg2rad(elevation)
+        expected = [-np.sin(a) * np.cos(e), np.cos(a) * np.cos(e), np.sin(e)]
+        np.testing.assert_allclose(-z, expected, atol=1e-5)
