@@ -47,7 +47,7 @@ PACKAGES: dict[str, str] = {
     "backends/pybullet": ENGINES + "tests/backends/pybullet tests/backends/export",
     "backends/export": "tests/backends/export",
     "backends/parity": "tests/backends/parity",
-    "training/algorithms": "tests/training/algorithms tests/training/run",
+    "training/algorithms": "tests/training/algorithms tests/training/run tests/training/config",
     "training/experience": "tests/training/experience tests/training/algorithms tests/training/run",
 }
 """The packages that are changed, and the tests that should notice."""

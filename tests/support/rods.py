@@ -1,14 +1,16 @@
-"""Elastic rods as robots."""
+"""Elastic rods as robots, and the files of a public set of continuous ones."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
+from pathlib import Path
 
 import numpy as np
 from scipy.optimize import bisect
 from scipy.special import ellipe, ellipeinc, ellipk, ellipkinc
 
 from cdcsr.robot.description import Robot
+from cdcsr.simulation.contract import Array
 
 CABLES: dict[str, dict[str, object]] = {
     "cables": {"angles_deg": (0.0, 120.0, 240.0), "pitch_radius": 0.01, "guide_offset": 0.002},
@@ -22,6 +24,10 @@ CABLES: dict[str, dict[str, object]] = {
     },
 }
 """Sections that give a segment three cables."""
+LENGTH, STIFFNESS, DENSITY = 0.4, 70e6 * np.pi * 0.005**4 / 4, 1200 * np.pi * 0.005**2
+"""TPU: [m], [N m^2] and [kg/m]."""
+DIRECTION = np.array([0.6, 0.8])
+"""Tips bend towards it, across the straight rod."""
 
 
 def rod_robot(
@@ -71,3 +77,23 @@ def elastica(force: float, length: float, stiffness: float) -> tuple[float, floa
     assert isinstance(slope, float)
     across = length * (1 - 2 * integrals(slope)[1] / load)
     return across, np.sqrt(2 * stiffness * np.sin(slope) / force)
+
+
+def file_vector(across: float, along: float) -> Array:
+    """Return a vector in the frame of the files, where the rod lies along x; ours is half a turn
+    away, about the line between x and z."""
+    x, y = across * DIRECTION
+    return np.array([along, -y, x])
+
+
+def write_shapes(folder: Path, forces: list[float]) -> None:
+    """Write rods under tip forces across them, as the elastica has them."""
+    rows = [["label"] * 18] * 2
+    for force in forces:
+        table = np.zeros((6, 17))
+        table[3:, 2] = file_vector(force, 0.0)
+        table[3:, 16] = file_vector(*elastica(force, LENGTH, STIFFNESS))
+        rows += [["row", *map(repr, map(float, line))] for line in table]
+    path = folder / "statics" / "TPURodMuJoCo_dataStatics.csv"
+    path.parent.mkdir(parents=True, exist_ok=True)
+    path.write_text("\n".join(",".join(row) for row in rows))

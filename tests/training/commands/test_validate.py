@@ -12,32 +12,8 @@ from scipy.optimize import bisect
 
 from cdcsr.errors import CdcsrError
 from cdcsr.simulation.contract import Array
-from tests.support.rods import elastica
+from tests.support.rods import DENSITY, LENGTH, STIFFNESS, file_vector, write_shapes
 from training.commands.validate import validate
-
-LENGTH, STIFFNESS, DENSITY = 0.4, 70e6 * np.pi * 0.005**4 / 4, 1200 * np.pi * 0.005**2
-"""TPU: [m], [N m^2] and [kg/m]."""
-DIRECTION = np.array([0.6, 0.8])
-
-
-def file_vector(across: float, along: float) -> Array:
-    """Return a vector in the frame of the files, where the rod lies along x; ours is half a turn
-    away, about the line between x and z."""
-    x, y = across * DIRECTION
-    return np.array([along, -y, x])
-
-
-def write_shapes(folder: Path, forces: list[float]) -> None:
-    """Write rods under tip forces across them, as the elastica has them."""
-    rows = [["label"] * 18] * 2
-    for force in forces:
-        table = np.zeros((6, 17))
-        table[3:, 2] = file_vector(force, 0.0)
-        table[3:, 16] = file_vector(*elastica(force, LENGTH, STIFFNESS))
-        rows += [["row", *map(repr, map(float, line))] for line in table]
-    path = folder / "statics" / "TPURodMuJoCo_dataStatics.csv"
-    path.parent.mkdir(exist_ok=True)
-    path.write_text("\n".join(",".join(row) for row in rows))
 
 
 def vibration(force: float, damping_time: float, times: Array) -> Array:

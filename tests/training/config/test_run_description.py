@@ -4,11 +4,14 @@ from __future__ import annotations
 
 import json
 from dataclasses import replace
+from typing import get_args
 
 import pytest
 
 from cdcsr.errors import CdcsrError
-from training.config.run_description import RunDescription
+from cdcsr.reading import digest
+from training.algorithms.registry import ALGORITHMS, own_numbers
+from training.config.run_description import PresetName, RunDescription
 
 
 def test_a_name_says_what_the_run_is() -> None:
@@ -57,3 +60,33 @@ def test_an_older_record_is_read() -> None:
 def test_what_cannot_be_a_run_is_refused(data: dict[str, object], message: str) -> None:
     with pytest.raises(CdcsrError, match=message):
         RunDescription.from_dict(data)
+
+
+def own_digest(algorithm: str) -> str:
+    """Return a digest of all numbers that an algorithm has in both presets, for three tasks."""
+    found = [
+        own_numbers(algorithm, preset, task).model_dump(mode="json")
+        for preset in get_args(PresetName)
+        for task in ("reach", "capture", "follow-line")
+    ]
+    return digest(json.dumps(found, sort_keys=True).encode())[:8]
+
+
+def test_stored_runs_mean_the_numbers_that_they_were_trained_with() -> None:
+    """Names and records of runs, and the cards of policies, hold what differs from an algorithm's
+    own numbers. Whoever changes one of these makes another run of each that is stored: give the
+    algorithm another name, or measure its runs anew, and then write its digest here."""
+    assert {name: own_digest(name) for name in ALGORITHMS} == {
+        "bc": "27ba9a08",
+        "batd3": "cdd7be66",
+        "clasp": "c0dbb753",
+        "td3wd": "dd3d8bd7",
+        "rbl": "7eeea86e",
+        "td3": "2492eb0e",
+        "her": "60e7b9ef",
+        "rlpd": "c04f9987",
+        "drldr": "65040f0c",
+        "batd3-no-bc": "5472658d",
+        "batd3-no-prefill": "79939aa2",
+        "batd3-no-ensemble": "e661413b",
+    }
