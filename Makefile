@@ -30,7 +30,7 @@ $(INSTALLED): pyproject.toml constraints.txt
 	@test -x $(BIN)/python || $(PYTHON) -m venv .venv
 	@$(PIP) pip
 	@echo "==> installing the versions in constraints.txt (downloads on the first run)"
-	@$(PIP) -e '.[study,view,onnx]' --group dev
+	@$(PIP) -e '.[study,view,onnx,render]' --group dev
 	@touch $@
 
 check: setup

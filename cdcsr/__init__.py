@@ -1,7 +1,7 @@
 """Cable-driven continuum space robots: one description, any engine, and tasks.
 
-Importing this package registers the environments `cdcsr/Reach-v0`, `cdcsr/Capture-v0` and
-`cdcsr/Follow-v0` with Gymnasium.
+Importing this package registers the environments `cdcsr/Reach-v0`, `cdcsr/Capture-v0`,
+`cdcsr/Follow-v0` and `cdcsr/ReachGoal-v0` with Gymnasium.
 """
 
 import gymnasium
@@ -13,3 +13,10 @@ for _id, _task in (("Reach", "reach"), ("Capture", "capture"), ("Follow", "follo
         vector_entry_point="cdcsr.envs.gym_env:TaskVectorEnv",
         kwargs={"task": _task},
     )
+
+gymnasium.register(
+    "cdcsr/ReachGoal-v0",
+    entry_point="cdcsr.envs.goal_env:GoalEnv",
+    vector_entry_point="cdcsr.envs.goal_env:GoalVectorEnv",
+    kwargs={"task": "reach"},
+)

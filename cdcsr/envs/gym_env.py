@@ -15,7 +15,7 @@ from cdcsr.envs.disturbances import Channel, Disturbances
 from cdcsr.envs.episodes import Episodes
 from cdcsr.envs.options import read_reset_options
 from cdcsr.envs.rng_state import pack_generator, unpack_generator
-from cdcsr.errors import CdcsrError, Diverged
+from cdcsr.errors import CdcsrError, Diverged, unknown_choice
 from cdcsr.robot.description import Robot, load_robot
 from cdcsr.robot.ruler import ruler
 from cdcsr.simulation.arguments import MOST_COPIES, MOST_SEED, MOST_SKIP, as_floats, check_count
@@ -44,17 +44,19 @@ class TaskVectorEnv(VectorEnv[Array, Array, NDArray[np.generic]]):
     """Many robots at a task, stepped as one batch by the engine.
 
     ``gymnasium.make_vec("cdcsr/Reach-v0", num_envs=N, ...)`` makes one; Capture and Follow have
-    the same arguments. The autoreset mode is SAME_STEP: when an episode ends, the observation
-    returned is the first one of the next episode, and the last one of the old episode is in
-    ``info["final_obs"]``. In mode DISABLED a finished episode goes on until it is reset.
-    ``info["is_success"]`` and ``info["distance"]`` are always of the step just made; the entries
-    that only one task has are described there (:meth:`Task.extra_info`).
+    the same arguments. By default the autoreset mode is SAME_STEP: when an episode ends, the
+    observation returned is the first one of the next episode, and the last one of the old episode
+    is in ``info["final_obs"]``. In mode NEXT_STEP the next step begins the new episode: the action
+    of that copy is ignored and its reward is 0, so it wastes a step. In mode DISABLED a finished
+    episode goes on until it is reset. ``info["is_success"]`` and ``info["distance"]`` are of the
+    step just made, and where NEXT_STEP began an episode, of its start; the entries that only one
+    task has are described there (:meth:`Task.extra_info`).
 
     Args:
         num_envs: how many robots.
         robot, backend, space, reward, frame_skip, max_steps, threshold, centers, disturbances:
             see :class:`EnvOptions`.
-        autoreset_mode: SAME_STEP or DISABLED.
+        autoreset_mode: SAME_STEP, NEXT_STEP or DISABLED.
         randomization, task, motion, quiet, start: see :class:`EnvOptions`.
 
     Attributes:
@@ -86,11 +88,11 @@ class TaskVectorEnv(VectorEnv[Array, Array, NDArray[np.generic]]):
         start: str | Starts = "still",
     ) -> None:
         check_count("num_envs", num_envs, MOST_COPIES)
-        mode = AutoresetMode(autoreset_mode)
-        if mode is AutoresetMode.NEXT_STEP:
-            raise CdcsrError(
-                "autoreset_mode must be SAME_STEP or DISABLED; NEXT_STEP would waste a step."
-            )
+        try:
+            mode = AutoresetMode(autoreset_mode)
+        except ValueError:
+            modes = [mode.value for mode in AutoresetMode]
+            raise CdcsrError(unknown_choice("autoreset_mode", autoreset_mode, modes)) from None
         self.robot = robot if isinstance(robot, Robot) else load_robot(robot)
         frame_skip = ruler(self.robot).frame_skip if frame_skip is None else frame_skip
         check_count("frame_skip", frame_skip, MOST_SKIP)
@@ -138,7 +140,9 @@ class TaskVectorEnv(VectorEnv[Array, Array, NDArray[np.generic]]):
         self.observation_space = batch_space(self.single_observation_space, num_envs)
         self.action_space = batch_space(self.single_action_space, num_envs)
         self.metadata = {"autoreset_mode": mode, "render_modes": []}
-        self._autoreset = mode is AutoresetMode.SAME_STEP
+        self._mode = mode
+        # The copies whose episode the next step begins.
+        self._ended = np.zeros(num_envs, dtype=np.bool_)
 
     def _spawn(self) -> None:
         """Give disturbances and starts random streams of their own, so that targets depend on
@@ -220,7 +224,7 @@ class TaskVectorEnv(VectorEnv[Array, Array, NDArray[np.generic]]):
             raise CdcsrError("Call reset() before the first step().")
         command = self._channel.command(as_floats("actions", actions, self._shape))
         command = np.minimum(np.maximum(command, -self._eta), 0)  # three times as fast as np.clip
-        lost = self._advance(command)
+        lost, fresh = self._advance(command), self._ended
         self._episodes.advance(self.frame_skip, self.robot.time_step)
         state = self.simulation.state()
         distance, verdict = self._episodes.judge(state)
@@ -228,12 +232,20 @@ class TaskVectorEnv(VectorEnv[Array, Array, NDArray[np.generic]]):
             verdict = verdict.without(lost)
         observation = self._channel.observe(observe(state, self.targets, distance))
         reward = self.task.reward(distance, verdict.rewarded)
+        if fresh.any():  # nothing of what these copies did counts
+            observation, reward = self._begin(fresh, None), np.where(fresh, 0.0, reward)
+            lost &= ~fresh
+            state = self.simulation.state()
+            distance, verdict = self._episodes.judge(state, count=False)
+            verdict = verdict._replace(terminated=verdict.terminated & ~fresh).without(lost)
         truncated = ~verdict.terminated & ((self.actions_taken >= self.max_actions) | lost)
         info = self._info(state, distance, verdict)
         if lost.any():
             info["diverged"] = lost
         done = verdict.terminated | truncated
-        if self._autoreset and done.any():
+        if self._mode is AutoresetMode.NEXT_STEP:
+            self._ended = done
+        elif self._mode is AutoresetMode.SAME_STEP and done.any():
             info |= {
                 "final_obs": observation,
                 "_final_obs": done,
@@ -277,6 +289,8 @@ class TaskVectorEnv(VectorEnv[Array, Array, NDArray[np.generic]]):
             state["plant.generator"] = pack_generator(self.randomization.rng)
         if self._starts.varies:
             state["start.generator"] = pack_generator(self._start_rng)
+        if self._mode is AutoresetMode.NEXT_STEP:
+            state["ended"] = self._ended.astype(np.int64)
         return state | {"generator": pack_generator(self.np_random)}
 
     def set_state(self, state: Mapping[str, NDArray[Any]]) -> None:
@@ -298,6 +312,8 @@ class TaskVectorEnv(VectorEnv[Array, Array, NDArray[np.generic]]):
         )
         if self._starts.varies:
             unpack_generator(self._start_rng, state["start.generator"])
+        if self._mode is AutoresetMode.NEXT_STEP:
+            self._ended = state["ended"].astype(np.bool_)
         unpack_generator(self.np_random, state["generator"])
         self._begun = True
 
@@ -308,7 +324,7 @@ class TaskVectorEnv(VectorEnv[Array, Array, NDArray[np.generic]]):
             self.randomization.begin(self.simulation, ids)
         drift = self._starts.begin(self.simulation, ids, self._start_rng)
         self._episodes.begin(ids, self.np_random, targets, drift)
-        self._begun = True
+        self._begun, self._ended = True, self._ended & ~fresh
         return self._channel.start(observe(self.simulation.state(), self.targets), fresh)
 
     def _info(self, state: State, distance: Array, verdict: Verdict) -> Info:

@@ -103,6 +103,8 @@ TARGET, DISTANCE = SLICES["target"], SLICES["distance"].start
 """The distance is one column; the others are slices."""
 BASE_POSITION, BASE_QUATERNION = SLICES["base_position"], SLICES["base_quaternion"]
 CABLE_TRAVEL = SLICES["cable_travel"]
+_GOAL = ("target", "distance")
+"""The parts that tell of the target."""
 
 
 def observation_size(robot: Robot) -> int:
@@ -188,6 +190,25 @@ def with_target(observations: Array, target: Array) -> Array:
     moved[..., TARGET] = target
     moved[..., DISTANCE] = np.linalg.norm(target - moved[..., TIP_POSITION], axis=-1)
     return moved
+
+
+def as_goals(observation: Array) -> dict[str, Array]:
+    """Return an observation with its goals apart, as Gymnasium's goal environments do.
+
+    Args:
+        observation: shape (..., observation size).
+
+    Returns:
+        `observation`, which is eq. (1) without target and distance, shape (..., size - 4);
+        `achieved_goal`, the tip's position, and `desired_goal`, the target, each of shape (..., 3),
+        in [m]. The arrays are copies.
+    """
+    rest = [observation[..., where] for name, where in SLICES.items() if name not in _GOAL]
+    return {
+        "observation": np.concatenate(rest, axis=-1),
+        "achieved_goal": observation[..., TIP_POSITION].copy(),
+        "desired_goal": observation[..., TARGET].copy(),
+    }
 
 
 def input_offset(robot: Robot) -> Array:
