@@ -42,6 +42,7 @@ MODULES = (
     "cdcsr.simulation.engines",
     "cdcsr.simulation.plant",
     "cdcsr.envs.gym_env",
+    "cdcsr.envs.goal_env",
     "cdcsr.tasks.catalogue",
     "cdcsr.tasks.observation",
     "cdcsr.tasks.starts",
