@@ -24,9 +24,11 @@ import numpy as np
 from mujoco import batch
 from numpy.typing import NDArray
 
-from backends.mujoco.model import build_spec
+from backends.mujoco.model import TOUCH, UNLIMITED, build_spec
+from cdcsr.errors import CdcsrError
 from cdcsr.robot.description import Robot
 from cdcsr.robot.routing import routing
+from cdcsr.simulation.plant import Parameters, Plant
 
 Array = NDArray[np.float64]
 
@@ -42,6 +44,8 @@ _EXCESS = 5e-5
 """A step takes back an excess length up to this, in [m], at once, and a larger one with the
 recovery time. A step leaves less than this, by the curvature of the motion; more comes from a state
 or a rest length that was set from outside."""
+_STIFFEST = 2.0
+"""An explicit spring k between masses of the inverse 1/m shakes where h^2 k / m is above 4."""
 _MOST_ITERATIONS = 5000
 _TOGETHER = 4
 """The number of tries that change all wrong cables at once. No step was seen to need more than two,
@@ -65,7 +69,7 @@ def stepping_spec(robot: Robot) -> mujoco.MjSpec:
     for joint in spec.joints:
         joint.armature = robot.time_step * float(np.ravel(joint.damping)[0])
     for tendon, equality in zip(spec.tendons, spec.equalities, strict=True):
-        tendon.limited = mujoco.mjtLimited.mjLIMITED_FALSE
+        tendon.limited, tendon.stiffness = mujoco.mjtLimited.mjLIMITED_FALSE, [0, 0, 0]
         equality.active = True
     return spec
 
@@ -93,12 +97,42 @@ class Cables:
         self._keep = 1 - robot.time_step / robot.constraint.recovery_time
         self._length, self._held = many.bind("ten_length"), many.bind("eq_active")
         self._travel, self._push, self._stop = _sliders(robot, many)
+        self._step, self._compliance = robot.time_step, np.zeros_like(self.tension)
+        self._elastic = False
+        plant = Parameters().plant(robot, many.nsim)
+        if plant.cable_compliance.any():
+            self.set_plant(np.arange(many.nsim), plant)
 
-    def set_rest_length(self, ids: NDArray[np.int64], offset: Array) -> None:
-        """Make the cables of copies `ids` longer than described by `offset`, shape (n, C), in
-        [m]."""
-        self._rest[ids] = self._described_rest + offset
-        self._target[ids] = self._bent + offset
+    def set_plant(self, ids: NDArray[np.int64], plant: Plant) -> None:
+        """Give the cables of copies `ids` the numbers in the rows of `plant`; their masses must be
+        set before."""
+        self._rest[ids] = self._described_rest + plant.rest_length_offset
+        self._target[ids] = self._bent + plant.rest_length_offset
+        if self._elastic or plant.cable_compliance.any():
+            self._compliance[ids] = plant.cable_compliance
+            self._elastic = bool(self._compliance.any())
+            self._soften(ids)
+
+    def _soften(self, ids: NDArray[np.int64]) -> None:
+        """Let active equalities end a step as springs.
+
+        MuJoCo solves A f + R f = b for the forces f = -t. With the softness of
+        :func:`backends.mujoco.model.build_spec` and R = c / h^2, this is the equation of a cable
+        that ends the step longer than at rest by c t. In MuJoCo R = w (1 - d) / d, where w is the
+        inverse weight of the tendon and d the impedance: so d is 1/2, and w is c / h^2.
+        """
+        many, model = self._batch, self._batch.model
+        cables = self._compliance.shape[1]
+        soft = self._compliance[ids] > 0
+        impedance = np.where(soft, 0.5, model.eq_solimp[:cables, 0])
+        stiff = np.stack([impedance / self._step**2, impedance / self._step], axis=-1)
+        rigid = (1 - model.eq_solimp[:cables, 0]) * model.tendon_invweight0
+        weight = np.maximum(self._compliance[ids] / self._step**2, rigid)
+        many.expand("tendon_invweight0")[ids] = np.where(soft, weight, model.tendon_invweight0)
+        many.expand("eq_solimp")[ids, :cables, :2] = impedance[..., None]
+        many.expand("eq_solref")[ids, :cables] = np.where(
+            soft[..., None], -stiff, model.eq_solref[:cables]
+        )
 
     def step(self) -> None:
         """Advance all copies by one time step under the controls in the batch."""
@@ -135,6 +169,8 @@ class Cables:
             Shape (num, C), in [m].
         """
         excess = self._length - self._rest
+        if self._elastic:  # what is longer is a spring
+            excess[self._compliance > 0] = 0.0
         if not (self._recovering or excess.max(initial=0) > _EXCESS):
             return self._rest
         left = np.where(excess > _EXCESS, self._keep * excess, 0.0)
@@ -156,21 +192,48 @@ class Limits:
     def __init__(self, robot: Robot, many: batch.Batch) -> None:
         cables = robot.num_cables
         self.tension = np.zeros((many.nsim, cables))
-        self._batch, self._slider_offset = many, routing(robot).slider_offset
+        route = routing(robot)
+        self._batch, self._slider_offset = many, route.slider_offset
+        self._described_rest, self._step = route.rest_length - TOUCH, robot.time_step
+        self._rest, self._stiffness = np.zeros((2, many.nsim, cables))
+        self._elastic, self._length = False, many.bind("ten_length")
+        plant = Parameters().plant(robot, many.nsim)
+        if plant.cable_compliance.any():
+            self.set_plant(np.arange(many.nsim), plant)
         self._travel, self._push, self._stop = _sliders(robot, many)
 
-    def set_rest_length(self, ids: NDArray[np.int64], offset: Array) -> None:
-        """Make the cables of copies `ids` longer than described by `offset`, shape (n, C), in
-        [m]."""
-        self._batch.expand("tendon_range")[ids, :, 1] = (
-            self._batch.model.tendon_range[:, 1] + offset
-        )
+    def set_plant(self, ids: NDArray[np.int64], plant: Plant) -> None:
+        """Give the cables of copies `ids` the numbers in the rows of `plant`.
+
+        Raises:
+            CdcsrError: the time step is too long for the spring of an elastic cable.
+        """
+        many, compliance = self._batch, plant.cable_compliance
+        rest, soft = self._described_rest + plant.rest_length_offset, compliance > 0
+        many.expand("tendon_range")[ids, :, 1] = np.where(soft, UNLIMITED, rest)
+        if not (self._elastic or soft.any()):
+            return
+        stiffness = np.divide(1, compliance, out=np.zeros_like(compliance), where=soft)
+        sharpest = (stiffness * many.model.tendon_invweight0).max()
+        if self._step**2 * sharpest > _STIFFEST:
+            raise CdcsrError(
+                "MuJoCo's tendon springs are explicit: these elastic cables need a time_step of at "
+                f"most {np.sqrt(_STIFFEST / sharpest):.2g} s; the engine mujoco has no such limit."
+            )
+        many.expand("tendon_lengthspring")[ids] = np.stack([np.zeros_like(rest), rest], axis=-1)
+        many.expand("tendon_stiffness")[ids] = stiffness
+        self._rest[ids], self._stiffness[ids] = rest, stiffness
+        self._elastic = bool(self._stiffness.any())
 
     def step(self) -> None:
         """Advance all copies by one time step under the controls in the batch."""
         side = np.sign(self._slider_offset - self._travel)
+        springs = 0.0
+        if self._elastic:  # an explicit spring pulls by its length at the beginning of the step
+            springs = self._stiffness * np.maximum(self._length - self._rest, 0)
         self._batch.step(stage=CURRENT)
         np.maximum((self._push + self._stop) * side, 0, out=self.tension)
+        self.tension += springs
 
 
 def base_size(robot: Robot) -> tuple[int, int]:

@@ -28,7 +28,12 @@ def write_mjcf(robot: Robot, folder: Path, meshes: Mapping[str, str]) -> None:
     # a cable that is straight at the start hangs loose in the first step.
     exact = {("body", body.name): ("pos", body.pos) for body in spec.bodies}
     exact |= {("site", site.name): ("pos", site.pos) for site in spec.sites}
-    exact |= {("spatial", tendon.name): ("range", tendon.range) for tendon in spec.tendons}
+    exact |= {
+        ("spatial", t.name): ("springlength", t.springlength)
+        if t.stiffness[0]
+        else ("range", t.range)
+        for t in spec.tendons
+    }
     for element in root.iter():
         attribute, numbers = exact.get((element.tag, element.get("name", "")), ("", ()))
         if attribute in element.attrib:

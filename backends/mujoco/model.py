@@ -30,7 +30,7 @@ INTEGRATORS = {
 """MuJoCo's integrators, by their names in MJCF."""
 UNLIMITED = 1e6
 """The travel in [m] of a slider away from its guide, where nothing stops it."""
-_TOUCH = 1e-9
+TOUCH = 1e-9
 """MuJoCo sees a limit only once it is exceeded. The cables of the robot at its start exceed it by
 this, in [m], so that in the first step a pull acts on the arm and not on a free slider."""
 _RIGID = 0.9999
@@ -204,15 +204,18 @@ def _add_cables(spec: mujoco.MjSpec, robot: Robot, route: Routing, guides: list[
         if joint.type != mujoco.mjtJoint.mjJNT_FREE:
             joint.solref_limit, joint.solimp_limit = solref, solimp
     for c, servo in enumerate(robot.servos):
+        rest, strain = route.rest_length[c], robot.strain_by_tension[c]
         tendon = spec.add_tendon(
             name=f"cable_{c}",
             limited=mujoco.mjtLimited.mjLIMITED_TRUE,
-            range=[0, route.rest_length[c] - _TOUCH],
+            range=[0, UNLIMITED if strain else rest - TOUCH],
             solref_limit=solref,
             solimp_limit=solimp,
             width=0.002,
             rgba=share(CABLE),
         )
+        if strain:  # a spring that only pulls
+            tendon.stiffness, tendon.springlength = [1 / (strain * rest), 0, 0], [0, rest]
         for site in (f"pull_{c}", *guides[c]):
             tendon.wrap_site(site)
         # With this solref a step ends at the rest length wherever it began:

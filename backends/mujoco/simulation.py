@@ -111,7 +111,7 @@ class BatchSimulation(Simulation):
 
     def _set_plant(self, ids: NDArray[np.int64], plant: Plant) -> None:
         write_plant(self.batch, ids, plant)
-        self._cables.set_rest_length(ids, plant.rest_length_offset)
+        self._cables.set_plant(ids, plant)
         # The next step starts from what the last one has computed, which is out of date now.
         self.batch.forward(ids, stage=CURRENT)
         if self._own_model is None:
@@ -304,7 +304,7 @@ class MujocoSimulation(BatchSimulation):
 
     engine = "mujoco"
     title = "MuJoCo"
-    capabilities = frozenset({"render", "bit_exact"})
+    capabilities = frozenset({"render", "bit_exact", "elastic_cables"})
     physics = Physics(
         joint_dynamics="MuJoCo's",
         integration="MuJoCo's Euler, semi-implicit",

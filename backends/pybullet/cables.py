@@ -4,9 +4,10 @@ Bullet moves the robot; it has no cables. Before each of its steps the tensions 
 which no cable ends the step longer than at rest, from Bullet's own mass matrix M and bias force b
 (:mod:`backends.pybullet.equation`) and the routing's Jacobian L:
 
-    M a + b = f - L^T t,    0 <= t  complementary to  L (v + h a) <= gap / h
+    M a + b = f - L^T t,    0 <= t  complementary to  L (v + h a) <= (gap + c t) / h
 
-where f are servos, springs and dampers, explicit as Bullet's own joint damping is. Then f - L^T t,
+where c is the compliance of each cable, zero if it does not stretch, and f are servos, springs and
+dampers, explicit as Bullet's own joint damping is. Then f - L^T t,
 without the dampers, is given to Bullet as joint torques. What Bullet alone knows of (the damping of
 its bodies, its clamp on speeds) is not in f, so that a cable may end a step longer by as much as
 these move it; the next step takes it back.
@@ -255,7 +256,8 @@ def joint_forces(
     slack, pull = np.empty(count), np.zeros(count)
     for c in range(cables):
         gap = plant.rest_length_offset[copy, c] - excess[c]
-        slack[c] = gap / (step if gap >= 0 else rig.recovery_time)
+        springs = plant.cable_compliance[copy, c] > 0
+        slack[c] = gap / (step if gap >= 0 or springs else rig.recovery_time)
     for i, k in enumerate(limited):
         above = joints[k] > rig.upper[k]
         rows[cables + i, k] = 1.0 if above else -1.0
@@ -277,7 +279,10 @@ def joint_forces(
     inverse = factor(whole)
     white, rest = whole[size + 1 :], whole[size]
     pull[:cables] = tension
-    solve_complementarity(white @ white.T, slack - white @ rest, pull)
+    matrix = white @ white.T
+    for c in range(cables):
+        matrix[c, c] += plant.cable_compliance[copy, c] / step**2
+    solve_complementarity(matrix, slack - white @ rest, pull)
     tension[:] = pull[:cables]
     for c in range(cables):
         force -= tension[c] * pushes[c]

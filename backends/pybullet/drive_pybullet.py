@@ -48,7 +48,9 @@ def drive(folder: Path, steps: int, setpoints: list[float]) -> np.ndarray:
             length = np.linalg.norm(along := np.diff(path, axis=0), axis=1)
             excess, rate = length.sum() - cable["rest_length"], (length.sum() - before[c]) / step
             before[c], stiff = length.sum(), mass[c] / step**2
-            tension = max(0, stiff * (excess / 4 + step * rate / 2)) * (excess > 0)
+            soft = cable["strain_by_tension"] * cable["rest_length"]  # of an elastic cable, [m/N]
+            elastic, damper = min(stiff / 4, 1 / soft if soft else np.inf), 0 if soft else stiff / 2
+            tension = max(0, elastic * excess + damper * step * rate) * (excess > 0)
             pulls = tension * np.diff(along / length[:, None], axis=0, prepend=0, append=0)
             for body, pull, point in zip(owner[c], pulls, path, strict=True):
                 p.applyExternalForce(robot, body, pull, point, p.WORLD_FRAME)

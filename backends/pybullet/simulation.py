@@ -58,7 +58,7 @@ class PybulletSimulation(Simulation):
 
     engine: ClassVar[str] = "pybullet"
     title: ClassVar[str] = "PyBullet"
-    capabilities: ClassVar[frozenset[Capability]] = frozenset({"render"})
+    capabilities: ClassVar[frozenset[Capability]] = frozenset({"render", "elastic_cables"})
     copy_memory = 4e6
     options_type: ClassVar[type[EngineOptions]] = PybulletOptions
     version: ClassVar[str] = package_version("pybullet")

@@ -175,6 +175,7 @@ def cable_file(robot: Robot) -> dict[str, object]:
                 "slider_joint": names[c],
                 "guides": [{"link": body, "xyz": xyz} for body, xyz in guides],
                 "rest_length": float(route.rest_length[c]),
+                "strain_by_tension": robot.strain_by_tension[c],
                 "servo": {"gain": servo.gain, "damping": servo.damping, "eta": servo.eta},
             }
         )

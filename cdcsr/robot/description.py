@@ -185,6 +185,12 @@ class Robot(Part):
         return tuple(s.servo for s in self.segments for _ in s.cable_angles)
 
     @property
+    def strain_by_tension(self) -> tuple[float, ...]:
+        """1 / (E A) of each cable, in [1/N]; zero for one that does not stretch."""
+        stiffness = [s.cables.axial_stiffness for s in self.segments for _ in s.cable_angles]
+        return tuple(0.0 if each is None else 1 / each for each in stiffness)
+
+    @property
     def num_cables(self) -> int:
         return len(self.servos)
 

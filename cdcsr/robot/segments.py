@@ -16,6 +16,7 @@ _Section = TypeVar("_Section", bound=Part)
 class Cables(Part):
     """The cables that end at the top of one segment."""
 
+    later = ("axial_stiffness",)
     angles_deg: Annotated[tuple[float, ...], Strict(False), Field(min_length=1)]
     """Direction of each cable around z, in degrees from x."""
     pitch_radius: Positive
@@ -23,6 +24,9 @@ class Cables(Part):
     guide_offset: Positive
     """Distance of each guide from the nearer end of its link, in [m]; in the base, from the top
     face."""
+    axial_stiffness: Positive | None = None
+    """E A of a cable in [N]: it stretches by the tension times its rest length over E A. Without it
+    cables do not stretch."""
 
 
 class Servo(Part):
@@ -110,6 +114,7 @@ class Segment(Part):
                 raise ValueError("needs either link and joint, or backbone, or chain")
         if (self.own_cables is None) != (self.own_servo is None):
             raise ValueError("needs cables and servo, or neither")
+        self._check_stretch()
         if self.taper is not None and self.own_link is None:
             raise ValueError("taper needs link; a backbone has end_radius, a chain lists its links")
         if self.backbone is not None:
@@ -121,6 +126,16 @@ class Segment(Part):
                     f"hinges reach their limit, not {rest:g}"
                 )
         return self
+
+    def _check_stretch(self) -> None:
+        if self.own_cables is None or self.own_servo is None:
+            return
+        stiffness, pull = self.own_cables.axial_stiffness, self.own_servo.gain * self.own_servo.eta
+        if stiffness is not None and stiffness < pull:
+            raise ValueError(
+                f"cables.axial_stiffness must be at least the largest pull ({pull:g} N), under "
+                "which a cable is twice as long as at rest"
+            )
 
     def _check_chain(self) -> None:
         if self.own_link is not None or self.backbone is not None:

@@ -28,7 +28,7 @@ from cdcsr.simulation.arguments import (
     chosen_copies,
 )
 from cdcsr.simulation.cameras import camera_angles
-from cdcsr.simulation.declarations import Capability, EngineOptions, Physics
+from cdcsr.simulation.declarations import Capability, EngineOptions, Physics, check_abilities
 from cdcsr.simulation.delay_line import DelayLine
 from cdcsr.simulation.loads import Loads
 from cdcsr.simulation.plant import Parameters, Plant
@@ -83,6 +83,7 @@ class Simulation(ABC):
         self.robot, self.num = robot, num
         self.options = options or self.options_type()
         self.plant: Plant = Parameters().plant(robot, num)
+        check_abilities(self.engine, self.capabilities, self.plant)
         self.loads = Loads(robot, num)
         self._closed = False
         self._line = DelayLine(num, robot.num_cables)
@@ -104,10 +105,11 @@ class Simulation(ABC):
             parameters: their arrays have as many rows as there are `ids`.
 
         Raises:
-            CdcsrError: a parameter has the wrong shape, or is out of range.
+            CdcsrError: a parameter has the wrong shape, is out of range, or is not for this engine.
         """
         chosen = self._chosen(ids)
         plant, delay = parameters.plant(self.robot, len(chosen)), parameters.delay(len(chosen))
+        check_abilities(self.engine, self.capabilities, plant)
         for mine, new in zip(self.plant, plant, strict=True):
             mine[chosen] = new
         self._line.set_delay(chosen, delay)

@@ -7,10 +7,26 @@ from typing import Literal
 
 from pydantic import BaseModel, ConfigDict
 
-Capability = Literal["render", "bit_exact", "soft_cables"]
+from cdcsr.errors import CdcsrError
+from cdcsr.simulation.plant import Plant
+
+Capability = Literal["render", "bit_exact", "soft_cables", "elastic_cables"]
 """An ability that only some engines have. render: it has its own camera. bit_exact: the same
 commands give the same bits, also after a snapshot. soft_cables: cables under tension are longer
-than at rest, by millimetres."""
+than at rest, by millimetres. elastic_cables: cables can be springs, by their axial stiffness."""
+
+
+def check_abilities(engine: str, abilities: frozenset[Capability], plant: Plant) -> None:
+    """Check that an engine has the abilities that a plant needs.
+
+    Raises:
+        CdcsrError: it lacks one.
+    """
+    if plant.cable_compliance.any() and "elastic_cables" not in abilities:
+        raise CdcsrError(
+            f"The engine {engine} has no elastic cables; leave out axial_stiffness and "
+            "cable_strain, or choose an engine that has elastic_cables (see `cdcsr engines`)."
+        )
 
 
 class EngineOptions(BaseModel):

@@ -10,6 +10,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from cdcsr.errors import CdcsrError
 from cdcsr.robot.description import Robot
+from cdcsr.robot.routing import routing
 from cdcsr.simulation.delay_line import check_delay
 
 Array = NDArray[np.float64]
@@ -35,6 +36,9 @@ class Plant(NamedTuple):
     """Shape (n, C), in [N/m]."""
     rest_length_offset: Array
     """How much longer each cable is than described, shape (n, C), in [m]."""
+    cable_compliance: Array
+    """How much longer each cable gets by tension, its rest length over E A, shape (n, C), in [m/N];
+    zero if it does not stretch."""
 
     @property
     def start_travel(self) -> Array:
@@ -70,6 +74,9 @@ class Parameters:
     rest_length_offset: ArrayLike = 0.0
     """For each cable, is added to its rest length, in [m]; positive is a stretched cable. A shorter
     cable changes where its slider begins, so set it before a reset: later it would jerk the arm."""
+    cable_strain: ArrayLike = 0.0
+    """For each cable, is added to its strain by tension 1 / (E A), in [1/N]; 1e-5 for a steel wire
+    of 0.8 mm. May be negative, down to a cable that does not stretch."""
     command_delay: ArrayLike = 0
     """For each copy: how many time steps pass before a command acts."""
 
@@ -93,6 +100,15 @@ class Parameters:
                 f"rest_length_offset must be at least {-room.min():g} m, where the slider meets "
                 f"its guide; found {offset.min():g} m."
             )
+        described = np.array(robot.strain_by_tension, dtype=float)
+        strain = self._values("cable_strain", num, robot.num_cables) + described
+        strain[np.abs(strain) < 1e-12 * described] = 0.0  # the described one taken off, but rounded
+        if not (strain >= 0).all():
+            raise CdcsrError(
+                f"cable_strain must be at least {-described.min():g} 1/N, with which a cable does "
+                f"not stretch; found one of {strain.min():g} 1/N below that."
+            )
+        length = routing(robot).rest_length if strain.any() else 0.0
         stiffness = self._factors("joint_stiffness", num, robot.num_links, zero=True)
         damping = self._factors("joint_damping", num, robot.num_links, zero=True)
         friction = self._factors("slider_damping", num, robot.num_cables, zero=True)
@@ -107,6 +123,7 @@ class Parameters:
             damping=np.hstack([friction * slider_damping, damping[:, of_hinge] * hinges[:, 1]]),
             servo_gain=self._factors("servo_gain", num, robot.num_cables) * gain,
             rest_length_offset=offset,
+            cable_compliance=(length + offset) * strain,
         )
 
     def delay(self, num: int) -> NDArray[np.int64]:

@@ -25,6 +25,8 @@ FACTORS = {
 copy have the same factor."""
 REST_LENGTH_OFFSET = 0.02
 """At scale 1 each cable is longer or shorter by up to this, uniform, in [m]."""
+ELASTIC = 2.0
+"""At scale 1 the stiffness of elastic cables is multiplied as by a factor of :data:`FACTORS`."""
 COMMAND_DELAY = 4
 """At scale 1 commands are late by 0 to this many time steps, uniform."""
 MAX_SCALE = 5.0
@@ -61,6 +63,9 @@ class Randomization:
         self.drawn: Drawn = {name: np.ones(num) for name in FACTORS}
         self.drawn["rest_length_offset"] = np.zeros((num, robot.num_cables))
         self.drawn["command_delay"] = np.zeros(num, np.int64)
+        self._strain = np.array(robot.strain_by_tension)
+        if self._strain.any():
+            self.drawn["cable_strain"] = np.zeros((num, robot.num_cables))
 
     def begin(self, simulation: Simulation, ids: NDArray[np.int64]) -> None:
         """Give copies `ids` new plants, before they are reset."""
@@ -80,11 +85,15 @@ class Randomization:
         factors = np.exp(self.rng.uniform(-1, 1, (num, len(FACTORS))) * widths)
         offset = self.rng.uniform(-1, 1, (num, self._cables)) * self._scale * REST_LENGTH_OFFSET
         delay = self.rng.integers(0, round(self._scale * COMMAND_DELAY), num, endpoint=True)
-        return {
+        drawn: Drawn = {
             **dict(zip(FACTORS, factors.T, strict=True)),
             "rest_length_offset": offset,
             "command_delay": delay,
         }
+        if self._strain.any():
+            exponent = self.rng.uniform(-1, 1, (num, 1)) * self._scale
+            drawn["cable_strain"] = (ELASTIC**exponent - 1) * self._strain
+        return drawn
 
 
 def check_scale(scale: float) -> None:

@@ -176,8 +176,8 @@ def momentum(simulation: Simulation) -> tuple[Array, Array, Array]:
 
 
 def energy(robot: Robot, simulation: Simulation, command: Array) -> Array:
-    """Return the energy of motion, hinge springs, and servos as springs to their set-points, shape
-    (num,), in [J]."""
+    """Return the energy of motion, hinge springs, elastic cables, and servos as springs to their
+    set-points, shape (num,), in [J]."""
     equation, state = simulation.dynamics(), simulation.state()
     kinetic = 0.5 * np.einsum(
         "ni,nij,nj->n", equation.velocity, equation.mass_matrix, equation.velocity
@@ -185,7 +185,20 @@ def energy(robot: Robot, simulation: Simulation, command: Array) -> Array:
     stiffness = np.array([hinge.stiffness for hinge in robot.hinges])
     gain = np.array([servo.gain for servo in robot.servos])
     springs = 0.5 * state.joint_angles**2 @ stiffness
+    springs += 0.5 * np.minimum(slack(robot, simulation), 0) ** 2 @ elastic_stiffness(robot)
     return kinetic + springs + 0.5 * (state.cable_travel - command) ** 2 @ gain
+
+
+def elastic_stiffness(robot: Robot) -> Array:
+    """Return the stiffness of each cable as a spring, E A over its length along the straight arm,
+    shape (C,), in [N/m]; zero for one that does not stretch."""
+    found, arm = [], robot.first_joint - robot.top
+    for segment in robot.segments:
+        arm += sum(link.length for link, _ in segment.pairs)
+        for _ in segment.cable_angles:
+            length = segment.servo.offset + arm
+            found.append((segment.cables.axial_stiffness or 0.0) / length)
+    return np.array(found)
 
 
 def random_parameters(robot: Robot, num: int, seed: int = 0) -> Parameters:

@@ -83,6 +83,10 @@ def arms(draw: st.DrawFn) -> Robot:
     segments = usual["segments"][:2]
     offset = max(segment["cables"]["guide_offset"] for segment in segments)
     ours = [draw(_segments(offset)) for _ in segments]
+    for segment in segments:
+        if draw(st.booleans()):
+            pull = segment["servo"]["gain"] * segment["servo"]["eta"]
+            segment["cables"]["axial_stiffness"] = pull * draw(between(1, 1000))
     for segment, own in zip(segments, ours, strict=True):
         if draw(st.integers(0, 2)):
             own |= {key: segment[key] for key in ("cables", "servo")}
@@ -116,7 +120,7 @@ def robots(draw: st.DrawFn) -> Robot:
     spring.
     """
     height, heavy = draw(between(0.2, 2)), draw(between(20, 2000))
-    segments: list[dict[str, object]] = []
+    segments: list[dict[str, Any]] = []
     shortest = height
     for _ in range(draw(st.integers(1, 4))):
         length, mass = draw(between(0.03, 0.5)), draw(between(0.1, 5))

@@ -127,6 +127,14 @@ AXES: dict[str, Axis] = {
             lambda robot, level: _with_parameter(robot, "rest_length_offset", level),
         ),
         Axis(
+            "cable_strain",
+            "what is added to the strain of all cables by tension, 1 / (E A)",
+            "1/N",
+            (1e-6, 3e-6, 1e-5, 3e-5, 1e-4, 3e-4, 1e-3),
+            (),
+            lambda robot, level: _with_parameter(robot, "cable_strain", level),
+        ),
+        Axis(
             "command_delay",
             "time steps until a command acts",
             "steps",

@@ -145,6 +145,8 @@ class MjsJoint(_Limited):
     stiffness: _Floats
 
 class MjsTendon(_Limited):
+    stiffness: _Vector
+    springlength: _Vector
     def wrap_site(self, name: str) -> object: ...
     def wrap_pulley(self, divisor: float) -> object: ...
 
@@ -289,6 +291,9 @@ class MjModel:
     dof_armature: _Floats
     tendon_length0: _Floats
     tendon_range: _Floats
+    tendon_invweight0: _Floats
+    eq_solref: _Floats
+    eq_solimp: _Floats
     ten_J_rownnz: _Ints
     ten_J_rowadr: _Ints
     ten_J_colind: _Ints
