@@ -66,6 +66,7 @@ class JacobianController(Controller):
         self.calm_within = 0.1 * own.size if calm_within is None else calm_within
         num_cables = robot.num_cables
         self._without_sliders = np.r_[0:6, 6 + num_cables : robot.num_coordinates]
+        self._merged = _merged(robot)
         hinges = np.array([(hinge.stiffness, hinge.damping) for hinge in robot.hinges])
         self._stiffness = np.concatenate([np.zeros(6), hinges[:, 0]])
         self._damping = np.concatenate([np.zeros(6), hinges[:, 1]])
@@ -114,6 +115,8 @@ class JacobianController(Controller):
         """Predict the tip velocity after one period: offset (n, 3) + slope (n, 3, C) @ tensions."""
         implicit, force, rate, cables = self._equation(dynamics, period)
         tip = dynamics.tip_jacobian[:, :, self._without_sliders]
+        if self._merged is not None:
+            tip = tip @ self._merged
         # M~ is symmetric, so one solve for the tip's three rows, (M~)^-1 J^T, serves both the force
         # and all cables.
         response = np.linalg.solve(implicit, tip.swapaxes(1, 2))
@@ -130,7 +133,7 @@ class JacobianController(Controller):
         return rate[:, 6:] + after[:, 6:, 0], after[:, 6:, 1:]
 
     def _equation(self, dynamics: Dynamics, period: float) -> tuple[Array, Array, Array, Array]:
-        """Return M + h D + h^2 K, f, qd and L of base and hinges."""
+        """Return M + h D + h^2 K, f, qd and L of base and hinges; coupled hinges count as one."""
         keep = self._without_sliders
         rate = dynamics.velocity[:, keep]
         force = (dynamics.passive_force - dynamics.bias_force)[
@@ -138,7 +141,12 @@ class JacobianController(Controller):
         ] - period * self._stiffness * rate
         implicit = dynamics.mass_matrix[:, keep[:, None], keep]
         implicit = implicit + np.diag(period * self._damping + period**2 * self._stiffness)
-        return implicit, force, rate, dynamics.cable_jacobian[:, :, keep]
+        cables = dynamics.cable_jacobian[:, :, keep]
+        if self._merged is not None:
+            merged = self._merged
+            implicit, force, cables = merged.T @ implicit @ merged, force @ merged, cables @ merged
+            rate = rate @ merged / merged.sum(axis=0)
+        return implicit, force, rate, cables
 
     def _tensions(self, slope: Array, wish: Array) -> Array:
         """Minimise |slope t - wish|^2 + regularization |t|^2 over 0 <= t <= gain eta."""
@@ -150,3 +158,11 @@ class JacobianController(Controller):
         if (tension > limit).any():
             tension = lsq_linear(matrix, goal, (0, limit), method="bvls").x
         return tension
+
+
+def _merged(robot: Robot) -> Array | None:
+    """Return how base and hinges move with the base and the hinges that are free, one for each set
+    of coupled ones, shape (6 + H, 6 + F); None if no hinges are coupled."""
+    leaders = np.array([*range(6), *(6 + leader for leader in robot.leaders)])
+    free = np.unique(leaders)
+    return None if len(free) == len(leaders) else (leaders[:, None] == free).astype(np.float64)

@@ -24,7 +24,7 @@ import numpy as np
 from mujoco import batch
 from numpy.typing import NDArray
 
-from backends.mujoco.model import TOUCH, UNLIMITED, build_spec
+from backends.mujoco.model import RIGID_SOLIMP, TOUCH, UNLIMITED, build_spec, rigid_solref
 from cdcsr.errors import CdcsrError
 from cdcsr.robot.description import Robot
 from cdcsr.robot.routing import routing
@@ -68,9 +68,11 @@ def stepping_spec(robot: Robot) -> mujoco.MjSpec:
     spec.option.iterations = _MOST_ITERATIONS
     for joint in spec.joints:
         joint.armature = robot.time_step * float(np.ravel(joint.damping)[0])
-    for tendon, equality in zip(spec.tendons, spec.equalities, strict=True):
+    for tendon in spec.tendons:
         tendon.limited, tendon.stiffness = mujoco.mjtLimited.mjLIMITED_FALSE, [0, 0, 0]
+    for equality in spec.equalities:  # of tendons and of coupled hinges
         equality.active = True
+        equality.solref, equality.solimp = rigid_solref(robot), RIGID_SOLIMP
     return spec
 
 
@@ -89,13 +91,13 @@ class Cables:
         self._slider_offset = route.slider_offset
         self._rest = np.tile(route.rest_length, (many.nsim, 1))
         self._described_rest, self._bent = route.rest_length, route.bent
-        self._target = many.expand("eq_data")[:, :, 0]
+        self._target = many.expand("eq_data")[:, :cables, 0]
         """Where active equalities end a step, shape (num, C), in [m] beyond the length along the
         straight arm."""
         self._target[:] = route.bent
         self._recovering = False
         self._keep = 1 - robot.time_step / robot.constraint.recovery_time
-        self._length, self._held = many.bind("ten_length"), many.bind("eq_active")
+        self._length, self._held = many.bind("ten_length"), many.bind("eq_active")[:, :cables]
         self._travel, self._push, self._stop = _sliders(robot, many)
         self._step, self._compliance = robot.time_step, np.zeros_like(self.tension)
         self._elastic = False

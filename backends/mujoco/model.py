@@ -33,8 +33,8 @@ UNLIMITED = 1e6
 TOUCH = 1e-9
 """MuJoCo sees a limit only once it is exceeded. The cables of the robot at its start exceed it by
 this, in [m], so that in the first step a pull acts on the arm and not on a free slider."""
-_RIGID = 0.9999
-"""The largest impedance that MuJoCo allows."""
+RIGID_SOLIMP = [0.9999, 0.9999, 0.001, 0.5, 2]
+"""The softness of the largest impedance that MuJoCo allows."""
 
 
 def build_spec(robot: Robot, meshes: Mapping[str, str] | None = None) -> mujoco.MjSpec:
@@ -70,9 +70,16 @@ def build_spec(robot: Robot, meshes: Mapping[str, str] | None = None) -> mujoco.
     _add_sliders(base, robot, route, meshes)
     guides = _add_arm(base, robot, route, meshes)
     _add_cables(spec, robot, route, guides)
+    _add_couplings(spec, robot)
     _add_sensors(spec, robot)
     _add_scenery(spec, robot)
     return spec
+
+
+def rigid_solref(robot: Robot) -> list[float]:
+    """Return the solref with which a step ends without any excess, wherever it began: a = -v / h -
+    excess / h^2."""
+    return [-1 / robot.time_step**2, -1 / robot.time_step]
 
 
 def _set_options(spec: mujoco.MjSpec, robot: Robot) -> None:
@@ -82,6 +89,8 @@ def _set_options(spec: mujoco.MjSpec, robot: Robot) -> None:
     option.integrator = INTEGRATORS[robot.mujoco.integrator]
     # With few constraints and many coordinates it is cheaper than Newton, and as exact.
     option.solver = mujoco.mjtSolver.mjSOL_PGS
+    if any(leader != hinge for hinge, leader in enumerate(robot.leaders)):
+        option.solver = mujoco.mjtSolver.mjSOL_NEWTON  # PGS would need thousands of iterations
     # Nothing collides. An automatic reset would hide divergence, which must be an error.
     option.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_CONTACT)
     option.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_AUTORESET)
@@ -183,16 +192,16 @@ def _add_link(
         explicitinertial=True,
     )
     for hinge in joint.hinges:
-        added = body.add_joint(
+        body.add_joint(
             name=f"hinge_{j}_{hinge.axis}",
             type=mujoco.mjtJoint.mjJNT_HINGE,
             axis=[float(axis == hinge.axis) for axis in "xyz"],
             stiffness=hinge.stiffness,
+            springref=hinge.rest,
             damping=hinge.damping,
             limited=mujoco.mjtLimited.mjLIMITED_TRUE,
             range=[hinge.lower, hinge.upper],
         )
-        setattr(added, "springref", hinge.rest)  # noqa: B010 (MuJoCo's stubs lack it)
     return body
 
 
@@ -218,16 +227,14 @@ def _add_cables(spec: mujoco.MjSpec, robot: Robot, route: Routing, guides: list[
             tendon.stiffness, tendon.springlength = [1 / (strain * rest), 0, 0], [0, rest]
         for site in (f"pull_{c}", *guides[c]):
             tendon.wrap_site(site)
-        # With this solref a step ends at the rest length wherever it began:
-        # a = -v / h - excess / h^2.
         spec.add_equality(
             name=f"held_{c}",
             type=mujoco.mjtEq.mjEQ_TENDON,
             objtype=mujoco.mjtObj.mjOBJ_TENDON,
             name1=tendon.name,
             active=False,
-            solref=[-1 / robot.time_step**2, -1 / robot.time_step],
-            solimp=[_RIGID, _RIGID, 0.001, 0.5, 2],
+            solref=rigid_solref(robot),
+            solimp=RIGID_SOLIMP,
         )
         actuator = spec.add_actuator(
             name=f"servo_{c}",
@@ -236,6 +243,24 @@ def _add_cables(spec: mujoco.MjSpec, robot: Robot, route: Routing, guides: list[
             ctrllimited=mujoco.mjtLimited.mjLIMITED_FALSE,
         )
         actuator.set_to_position(kp=servo.gain)
+
+
+def _add_couplings(spec: mujoco.MjSpec, robot: Robot) -> None:
+    """Hold hinges at the angles of their leaders, as softly as other limits."""
+    names = [joint.name for joint in spec.joints if joint.name.startswith("hinge_")]
+    impedance = robot.mujoco.impedance
+    for hinge, leader in enumerate(robot.leaders):
+        if hinge != leader:
+            spec.add_equality(
+                name=f"linkage_{hinge}",
+                type=mujoco.mjtEq.mjEQ_JOINT,
+                objtype=mujoco.mjtObj.mjOBJ_JOINT,
+                name1=names[hinge],
+                name2=names[leader],
+                data=[0, 1, *(mujoco.mjNEQDATA - 2) * [0]],  # a polynomial of the leader's angle
+                solref=[robot.constraint.recovery_time, 1.0],
+                solimp=[impedance, impedance, 0.001, 0.5, 2],
+            )
 
 
 def _add_sensors(spec: mujoco.MjSpec, robot: Robot) -> None:

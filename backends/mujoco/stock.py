@@ -68,9 +68,13 @@ class MujocoStock(BatchSimulation):
 
 
 def _set_default_softness(spec: mujoco.MjSpec) -> None:
-    """Give the limits of hinges and tendons the softness that they have in an empty MjSpec."""
+    """Give limits of hinges and tendons, and coupled hinges, the softness of an empty MjSpec."""
     empty = mujoco.MjSpec()
     joint, tendon = empty.worldbody.add_body().add_joint(), empty.add_tendon()
     hinges = [x for x in spec.joints if x.type == mujoco.mjtJoint.mjJNT_HINGE]
     for limited, default in [(x, joint) for x in hinges] + [(x, tendon) for x in spec.tendons]:
         limited.solref_limit, limited.solimp_limit = default.solref_limit, default.solimp_limit
+    soft = empty.add_equality()
+    for equality in spec.equalities:
+        if equality.type == mujoco.mjtEq.mjEQ_JOINT:
+            equality.solref, equality.solimp = soft.solref, soft.solimp

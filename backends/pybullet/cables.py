@@ -21,155 +21,35 @@ Limits are Bullet's, of hinges and of sliders at their stops. A joint that is pa
 row in the problem, because Bullet's push there changes the tensions; but only tensions are handed
 on.
 
+Coupled hinges, which always have the same angle, have rows E a = -(E v + E q / h) / h in the same
+problem, with forces of either sign, which are handed on. Their limits are rows too, one for each
+set of them, and not Bullet's, which does not know that the other hinges move along.
+
 Coordinates are Bullet's: base angular, base linear, sliders, hinges, with the base's in the base's
 frame. No cable touches the base, so nothing has to be turned.
 """
 
 from __future__ import annotations
 
-from typing import NamedTuple
-
 import numpy as np
 from numpy.typing import NDArray
 
-from backends.pybullet.lcp import factor, solve_complementarity, solve_transposed
+from backends.pybullet.lcp import (
+    factor,
+    solve_complementarity,
+    solve_transposed,
+    solve_with_equalities,
+)
+from backends.pybullet.rig import Rig, cable_rows
 from cdcsr.compiled import compiled
-from cdcsr.robot.description import Robot
-from cdcsr.robot.routing import crossing, routing
 from cdcsr.simulation.plant import Plant
 
 Array = NDArray[np.float64]
+Ints = NDArray[np.int64]
 
 LIMIT_RECOVERY = 0.2
 """The part of the excess that Bullet takes back in a step from a joint past its limit. A joint that
 has not passed it yet moves freely."""
-
-_crossing = compiled()(crossing)
-
-
-class Rig(NamedTuple):
-    """The cables and hinges of a robot as plain arrays; C cables, J joints, H hinges."""
-
-    universal: bool
-    """Whether every joint bends about x, then about y, and does not twist."""
-    hinges: NDArray[np.int64]
-    """The numbers of each joint's hinges, the lowest first, shape (J, 3); -1 is no hinge."""
-    axes: NDArray[np.int64]
-    """The axis of each of these hinges: 0, 1, 2 for x, y, z; shape (J, 3)."""
-    place: Array
-    """Position across the arm, shape (C, 2), in [m]."""
-    guide_offset: Array
-    """Shape (C,), in [m]."""
-    joints: NDArray[np.int64]
-    """How many joints each cable crosses, shape (C,)."""
-    slider_offset: Array
-    """Shape (C,), in [m]."""
-    slider_mass: Array
-    """Shape (C,), in [kg]."""
-    bent: Array
-    """How much longer the cables are at the start than along the straight arm, shape (C,), in
-    [m]."""
-    rest: Array
-    """Rest angles of the hinges, shape (H,), in [rad]."""
-    lower: Array
-    """Minus infinity for each slider, which nothing stops on its way down, then the lowest angle of
-    each hinge in [rad], shape (C + H,)."""
-    upper: Array
-    """The largest travel of each slider in [m], then angle of each hinge in [rad], (C + H,)."""
-    recovery_time: float
-    """The time constant with which an excess of length decays, in [s]."""
-
-
-def rig(robot: Robot) -> Rig:
-    """Return the numbers of a robot that its tensions depend on and that no copy changes."""
-    route = routing(robot)
-    return Rig(
-        universal=route.is_universal,
-        hinges=route.hinges,
-        axes=route.axes,
-        place=route.place,
-        guide_offset=route.guide_offset,
-        joints=route.joints,
-        slider_offset=route.slider_offset,
-        slider_mass=np.array([servo.mass for servo in robot.servos], dtype=float),
-        bent=route.bent,
-        rest=np.array(robot.start_angles),
-        lower=np.array([-np.inf] * robot.num_cables + [h.lower for h in robot.hinges]),
-        upper=np.array([s.stop for s in robot.servos] + [h.upper for h in robot.hinges]),
-        recovery_time=robot.constraint.recovery_time,
-    )
-
-
-@compiled()
-def cable_rows(rig: Rig, travel: Array, hinges: Array, jacobian: Array) -> Array:
-    """Return how much longer than at rest every cable is, as described, shape (C,), in [m].
-
-    Args:
-        rig: the robot's numbers.
-        travel: shape (C,), in [m].
-        hinges: shape (H,), in [rad].
-        jacobian: filled with the derivatives by sliders and hinges, shape (C, C + H).
-    """
-    excess = np.empty(travel.size)
-    sine, cosine = np.sin(hinges), np.cos(hinges)
-    for c in range(travel.size):
-        px, py, offset = rig.place[c, 0], rig.place[c, 1], rig.guide_offset[c]
-        below = rig.slider_offset[c] - travel[c]
-        jacobian[c, c] = -np.sign(below)
-        total = abs(below) - rig.slider_offset[c] - rig.bent[c]
-        for n in range(rig.joints[c]):
-            if not rig.universal:
-                low, high = np.array([px, py, -offset]), np.array([px, py, offset])
-                row = jacobian[c, travel.size :]
-                total += _any_crossing(rig, n, sine, cosine, low, high, row) - 2 * offset
-                continue
-            x, y = 2 * n, 2 * n + 1
-            length, by_x, by_y = _crossing(sine[x], cosine[x], sine[y], cosine[y], px, py, offset)
-            total += length - 2 * offset
-            jacobian[c, travel.size + x], jacobian[c, travel.size + y] = by_x, by_y
-        excess[c] = total
-    return excess
-
-
-@compiled()
-def _any_crossing(
-    rig: Rig, joint: int, sine: Array, cosine: Array, low: Array, high: Array, row: Array
-) -> float:
-    """Return the length between the guides below and above a joint of any hinges, in [m].
-
-    The upper guide is turned by R = R_1 R_2 R_3. With w_k = R_k ... R_3 high, a unit rate of the
-    hinge k moves it by R_1 ... R_(k-1) (a_k x w_k).
-
-    Args:
-        rig: the robot's numbers.
-        joint: its number.
-        sine, cosine: of all hinges.
-        low, high: the places of the guides in their links' frames at the joint, shape (3,), in [m].
-        row: filled with the derivatives by the joint's hinges, shape (H,), in [m/rad].
-    """
-    turned, point = np.empty((3, 3)), high.copy()
-    for k in range(2, -1, -1):
-        hinge = rig.hinges[joint, k]
-        if hinge >= 0:
-            _turn(point, rig.axes[joint, k], sine[hinge], cosine[hinge])
-            turned[k] = point
-    along = point - low
-    length = np.sqrt(along[0] ** 2 + along[1] ** 2 + along[2] ** 2)
-    for k in range(3):
-        hinge, a = rig.hinges[joint, k], rig.axes[joint, k]
-        if hinge >= 0:
-            b, c = (a + 1) % 3, (a + 2) % 3  # a_k x w has -w_c along b, and w_b along c
-            row[hinge] = (turned[k, b] * along[c] - turned[k, c] * along[b]) / length
-            _turn(along, a, -sine[hinge], cosine[hinge])
-    return length
-
-
-@compiled()
-def _turn(vector: Array, axis: int, sine: Array, cosine: Array) -> None:
-    """Turn a vector about a coordinate axis by the angle of a sine and a cosine."""
-    b, c = (axis + 1) % 3, (axis + 2) % 3
-    first, second = vector[b], vector[c]
-    vector[b], vector[c] = cosine * first - sine * second, sine * first + cosine * second
 
 
 @compiled()
@@ -206,6 +86,92 @@ def stiff_dampers(rig: Rig, plant: Plant, copy: int, hinges: Array, step: float)
             stiff[y] = damping[y]
         lower = upper
     return stiff
+
+
+@compiled()
+def _limit_rows(
+    rig: Rig, limited: Ints, joints: Array, step: float, rows: Array, slack: Array
+) -> None:
+    """Fill in the rows of joints that are past their limits, and how fast they may go on."""
+    for i, k in enumerate(limited):
+        above = joints[k] > rig.upper[k]
+        rows[i, k] = 1.0 if above else -1.0
+        gap = rig.upper[k] - joints[k] if above else joints[k] - rig.lower[k]
+        slack[i] = LIMIT_RECOVERY * gap / step
+
+
+@compiled()
+def _first_of_each(leader: Ints, limited: Ints, cables: int) -> Ints:
+    """Keep only the first of the coupled joints that are past their limits.
+
+    Args:
+        leader: of each hinge.
+        limited: numbers of joints, sliders first, in order.
+        cables: the number of sliders.
+    """
+    seen = np.zeros(leader.size, np.bool_)
+    keep = np.ones(limited.size, np.bool_)
+    for i, k in enumerate(limited):
+        if k >= cables:
+            keep[i] = not seen[leader[k - cables]]
+            seen[leader[k - cables]] = True
+    return limited[keep]
+
+
+@compiled()
+def _linkage_rows(
+    rig: Rig, followers: Ints, hinges: Array, rates: Array, step: float, rows: Array
+) -> Array:
+    """Fill in E, a row for each hinge that follows another, shape (K, H), and return what E a must
+    be, shape (K,), so that the step ends at equal angles."""
+    wanted = np.empty(followers.size)
+    for i, hinge in enumerate(followers):
+        leader = rig.leader[hinge]
+        rows[i, hinge], rows[i, leader] = 1.0, -1.0
+        apart = hinges[hinge] - hinges[leader]
+        wanted[i] = -((rates[hinge] - rates[leader]) + apart / step) / step
+    return wanted
+
+
+@compiled()
+def _solve(
+    rig: Rig,
+    limited: Ints,
+    matrix: Array,
+    white: Array,
+    held: Array,
+    room: Array,
+    apart: Array,
+    rest: Array,
+    pull: Array,
+    pushes: Array,
+    force: Array,
+) -> None:
+    """Find the forces of cables and limits, and those of linkages.
+
+    Args:
+        rig: the robot's numbers.
+        limited: the joints that are past their limits.
+        matrix: of the forces of cables and limits.
+        white: L^-1 times the rows of cables and limits, where L is the factor of the mass matrix.
+        held: the same of linkages.
+        room: what these rows may reach beyond what drives.
+        apart: what the rows of linkages must reach.
+        rest: L^-1 times what drives; linkages are added.
+        pull: replaced by the forces of cables and limits; the old ones are a first guess.
+        pushes: all rows.
+        force: the forces on the joints; those that Bullet does not know are added, but for cables.
+    """
+    if not len(held):
+        solve_complementarity(matrix, room, pull)
+        return
+    linkage = solve_with_equalities(matrix, white, held, room, apart - held @ rest, pull)
+    rest -= linkage @ held
+    force -= linkage @ pushes[len(white) :]
+    cables = len(white) - limited.size
+    for i, k in enumerate(limited):
+        if k >= cables and rig.coupled[k - cables]:
+            force -= pull[cables + i] * pushes[cables + i]
 
 
 @compiled()
@@ -249,8 +215,11 @@ def joint_forces(
 
     # Rows of `whole`: the mass matrix, what drives, the cables, the limits of joints past them.
     limited = np.flatnonzero((joints > rig.upper) | (joints < rig.lower))
+    followers = np.flatnonzero(rig.leader != np.arange(hinges.size))
+    if followers.size:
+        limited = _first_of_each(rig.leader, limited, cables)
     count = cables + limited.size
-    whole = np.zeros((size + 1 + count, size))
+    whole = np.zeros((size + 1 + count + followers.size, size))
     rows = whole[size + 1 :, 6:]
     excess = cable_rows(rig, joints[:cables], hinges, rows)
     slack, pull = np.empty(count), np.zeros(count)
@@ -258,15 +227,12 @@ def joint_forces(
         gap = plant.rest_length_offset[copy, c] - excess[c]
         springs = plant.cable_compliance[copy, c] > 0
         slack[c] = gap / (step if gap >= 0 or springs else rig.recovery_time)
-    for i, k in enumerate(limited):
-        above = joints[k] > rig.upper[k]
-        rows[cables + i, k] = 1.0 if above else -1.0
-        gap = rig.upper[k] - joints[k] if above else joints[k] - rig.lower[k]
-        slack[cables + i] = LIMIT_RECOVERY * gap / step
+    _limit_rows(rig, limited, joints, step, rows[cables:], slack[cables:])
     for i in range(count):
         for k in range(velocity.size):
             slack[i] -= rows[i, k] * velocity[k]
     slack /= step
+    apart = _linkage_rows(rig, followers, hinges, velocity[cables:], step, rows[count:, cables:])
 
     stiff = step * stiff_dampers(rig, plant, copy, hinges, step)
     whole[:size] = mass
@@ -275,14 +241,16 @@ def joint_forces(
     whole[size, 6 : 6 + cables] += servo
     for k in range(stiff.size):
         whole[6 + k, 6 + k] += stiff[k]
-    pushes = rows[:cables].copy()
+    pushes = rows.copy()
     inverse = factor(whole)
-    white, rest = whole[size + 1 :], whole[size]
+    white, rest = whole[size + 1 : size + 1 + count], whole[size]
     pull[:cables] = tension
     matrix = white @ white.T
     for c in range(cables):
         matrix[c, c] += plant.cable_compliance[copy, c] / step**2
-    solve_complementarity(matrix, slack - white @ rest, pull)
+    slack -= white @ rest
+    held = whole[size + 1 + count :]
+    _solve(rig, limited, matrix, white, held, slack, apart, rest, pull, pushes, force)
     tension[:] = pull[:cables]
     for c in range(cables):
         force -= tension[c] * pushes[c]

@@ -112,3 +112,34 @@ def solve_complementarity(matrix: Array, vector: Array, solution: Array) -> None
                 basis[i] = not basis[i]
     for i in range(count):
         solution[i] = max(solution[i], 0.0)
+
+
+@compiled()
+def solve_with_equalities(
+    matrix: Array, white: Array, held: Array, vector: Array, offset: Array, solution: Array
+) -> Array:
+    """Solve 0 <= x complementary to A x + W H' y + b >= 0 with H W' x + H H' y + c = 0.
+
+    With H H' = L L' the second equation gives y. The first becomes one in x alone, in which
+    Z = W H' L'^-1 takes Z Z' from the matrix and Z L^-1 c from b.
+
+    Args:
+        matrix: A, shape (count, count).
+        white: W, shape (count, nv).
+        held: H, shape (n, nv), of independent rows.
+        vector: b, shape (count,).
+        offset: c, shape (n,).
+        solution: x, as for :func:`solve_complementarity`.
+
+    Returns:
+        y, shape (n,).
+    """
+    size, count = held.shape[0], vector.size
+    whole = np.empty((size + count + 1, size))
+    whole[:size], whole[size : size + count], whole[-1] = held @ held.T, white @ held.T, offset
+    inverse = factor(whole)
+    across, rest = whole[size : size + count], whole[-1]
+    solve_complementarity(matrix - across @ across.T, vector - across @ rest, solution)
+    rest += solution[:count] @ across
+    solve_transposed(whole, inverse, rest)
+    return -rest

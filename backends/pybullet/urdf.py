@@ -45,8 +45,9 @@ def urdf(robot: Robot, mesh_files: Mapping[str, str] | None = None, world: bool 
         robot: the description.
         mesh_files: the visual mesh of a link by its name (``"base"``, ``"link_3"``, ...), in metres
             and in the link's frame; links without one look like boxes, cylinders and balls.
-        world: whether a fixed base hangs on a link `world`, which is how URDF fixes it. A free base
-            starts anywhere; URDF does not say where.
+        world: whether the text is for others than our engine: a fixed base then hangs on a link
+            `world`, which is how URDF fixes it, and coupled hinges have limits. A free base starts
+            anywhere; URDF does not say where.
     """
     model = _Model(robot.name, mesh_files or {})
     base = robot.base
@@ -63,7 +64,8 @@ def urdf(robot: Robot, mesh_files: Mapping[str, str] | None = None, world: bool 
         model.joint(f"slide_{c}", joint, "base", name, tuple(place))
 
     segment_of = [s for s, segment in enumerate(robot.segments) for _ in range(segment.links)]
-    parent, height = "base", robot.first_joint
+    parent, height, number = "base", robot.first_joint, 0
+    names, leaders = joint_names(robot)[robot.num_cables :], robot.leaders
     for j, (part, bends) in enumerate(robot.links):
         ball = ("sphere", {"radius": _text(1.15 * part.radius)})
         for k, hinge in enumerate(bends.hinges):
@@ -77,9 +79,14 @@ def urdf(robot: Robot, mesh_files: Mapping[str, str] | None = None, world: bool 
                 heights = part.center_of_mass, part.length / 2
                 model.link(child, part.mass, part.inertia, ("cylinder", shape), color, heights)
             axis = " ".join(str(int(a == hinge.axis)) for a in "xyz")
-            joint = ("revolute", axis, (hinge.lower, hinge.upper), hinge.damping)
-            model.joint(f"hinge_{j}_{hinge.axis}", joint, parent, child, (0, 0, height))
-            parent, height = child, 0.0
+            limits, leader = (hinge.lower, hinge.upper), leaders[number]
+            if not world and (leader != number or leaders.count(number) > 1):
+                limits = -UNLIMITED, UNLIMITED
+            joint = ("revolute", axis, limits, hinge.damping)
+            element = model.joint(names[number], joint, parent, child, (0, 0, height))
+            if leader != number:
+                ET.SubElement(element, "mimic", joint=names[leader])
+            parent, height, number = child, 0.0, number + 1
         height = part.length
     ET.indent(model.root)  # Bullet's parser fails on very long lines
     return '<?xml version="1.0"?>\n' + ET.tostring(model.root, encoding="unicode") + "\n"
@@ -142,7 +149,7 @@ class _Model:
         parent: str,
         child: str,
         place: tuple[float, ...],
-    ) -> None:
+    ) -> ET.Element:
         """Add a joint that moves; `joint` is type, axis, limits and damping."""
         kind, axis, (lower, upper), damping = joint
         element = self.place(name, kind, parent, child, place)
@@ -151,11 +158,12 @@ class _Model:
         limits |= {"effort": _text(UNLIMITED), "velocity": _text(UNLIMITED)}
         ET.SubElement(element, "limit", limits)
         ET.SubElement(element, "dynamics", damping=_text(damping), friction="0")
+        return element
 
 
 def cable_file(robot: Robot) -> dict[str, object]:
-    """Return what URDF cannot describe: cables with their guides and servos, hinge springs, the
-    tip, gravity, and where the base starts.
+    """Return what URDF cannot describe: cables with their guides and servos, hinge springs, which
+    hinge follows which, the tip, gravity, and where the base starts.
 
     Links and joints have the URDF's names. The guides of a cable are in order from the base to its
     anchor, each with its place in its link's frame; lengths are in [m].
@@ -183,7 +191,7 @@ def cable_file(robot: Robot) -> dict[str, object]:
         name: hinge._asdict()
         for name, hinge in zip(names[robot.num_cables :], robot.hinges, strict=True)
     }
-    last = robot.num_links - 1
+    last, hinge_names = robot.num_links - 1, names[robot.num_cables :]
     return {
         "robot": robot.name,
         "fingerprint": robot.fingerprint,
@@ -197,6 +205,11 @@ def cable_file(robot: Robot) -> dict[str, object]:
         },
         "cables": cables,
         "hinges": hinges,
+        "linkages": {
+            hinge_names[hinge]: hinge_names[leader]
+            for hinge, leader in enumerate(robot.leaders)
+            if hinge != leader
+        },
         "tip": {"link": f"link_{last}", "xyz": [0.0, 0.0, robot.links[last][0].length]},
     }
 

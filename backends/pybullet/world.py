@@ -11,10 +11,11 @@ import pybullet
 from numpy.typing import NDArray
 
 from backends.pybullet.body import Body
-from backends.pybullet.cables import joint_forces, rig
+from backends.pybullet.cables import joint_forces
 from backends.pybullet.client import connect
 from backends.pybullet.equation import Equation
 from backends.pybullet.options import PybulletOptions
+from backends.pybullet.rig import rig
 from cdcsr.compiled import compiled
 from cdcsr.robot.description import Robot
 from cdcsr.robot.stability import highest_speeds, too_fast

@@ -171,6 +171,20 @@ class Robot(Part):
         return tuple(hinge.rest for hinge in self.hinges)
 
     @property
+    def leaders(self) -> tuple[int, ...]:
+        """The number of the hinge whose angle each hinge always has: its own, or, where a segment
+        is coupled, that of the segment's first hinge about the same axis."""
+        found: list[int] = []
+        for segment in self.segments:
+            first: dict[str, int] = {}
+            for _, joint in segment.pairs:
+                for hinge in joint.hinges:
+                    number = len(found)
+                    coupled = segment.coupling and hinge.axis != "z"
+                    found.append(first.setdefault(hinge.axis, number) if coupled else number)
+        return tuple(found)
+
+    @property
     def link_of_hinge(self) -> tuple[int, ...]:
         """The number of the link that each hinge carries."""
         return tuple(n for n, (_, joint) in enumerate(self.links) for _ in joint.hinges)

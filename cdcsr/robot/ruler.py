@@ -128,25 +128,38 @@ def answer_time(robot: Robot) -> float:
     springs, dampers = np.zeros((2, len(mass)))
     springs[hinges:] = [joint.stiffness for _, joint in robot.links]
     dampers[hinges:] = [joint.damping for _, joint in robot.links]
-    rigid = _rigid_joints(robot, hinges)
-    if rigid.any():
-        arm, tip, springs, dampers = (part[~rigid] for part in (arm, tip, springs, dampers))
-        mass = mass[np.ix_(~rigid, ~rigid)]
     along = np.outer(arm, arm)
     mass = mass + servo.mass * along
     damping = np.diag(dampers) + servo.damping * along
     stiffness = np.diag(springs) + servo.gain * along
+    free = _free_motions(robot, hinges)
+    if free is not None:
+        mass, damping, stiffness = (free.T @ part @ free for part in (mass, damping, stiffness))
+        arm, tip = arm @ free, tip @ free
     times, moved = _pulled(mass, damping, stiffness, servo.gain * servo.eta * arm, tip)
     goal = min(_FAR * robot.arm_length, 0.63 * moved.max())
     after = int(np.argmax(moved >= goal))
     return float(np.interp(goal, moved[after - 1 : after + 1], times[after - 1 : after + 1]))
 
 
-def _rigid_joints(robot: Robot, base: int) -> NDArray[np.bool_]:
-    """Tell which of the coordinates, `base` of the base and one a joint, cannot move in the plane
-    in which most joints bend."""
+def _free_motions(robot: Robot, base: int) -> Array | None:
+    """Return how the coordinates, `base` of the base and one a joint, move with the free ones in
+    the plane in which most joints bend; None if all are free.
+
+    Joints that do not bend in that plane are rigid, and those of a coupled segment bend alike.
+    """
     across = max("yx", key=lambda axis: sum(axis in joint.order for _, joint in robot.links))
-    return np.array([False] * base + [across not in joint.order for _, joint in robot.links])
+    columns = list(np.eye(base + robot.num_links)[:base])
+    first = base
+    for segment in robot.segments:
+        own: list[Array] = []
+        for _, joint in segment.pairs:
+            if across in joint.order:
+                own.append(np.eye(base + robot.num_links)[first])
+            first += 1
+        columns += [np.sum(own, axis=0)] if segment.coupling and own else own
+    free = np.array(columns).T
+    return None if free.shape[0] == free.shape[1] else free
 
 
 def _planar_mass(robot: Robot) -> tuple[Array, Array]:

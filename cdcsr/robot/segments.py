@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Annotated, Self, TypeVar
+from typing import Annotated, Literal, Self, TypeVar
 
 from pydantic import Field, Strict, model_validator
 
@@ -82,7 +82,7 @@ class Segment(Part):
     are parts of a `backbone`. Without `cables` and `servo` the segment is passive.
     """
 
-    later = ("link", "joint", "taper", "chain", "backbone", "cables", "servo")
+    later = ("link", "joint", "taper", "chain", "backbone", "coupling", "cables", "servo")
     links: Annotated[int, Field(ge=1)]
     """How many links it has; may be left out where `chain` lists them."""
     own_link: Link | None = Field(None, alias="link")
@@ -92,6 +92,9 @@ class Segment(Part):
     own_chain: Annotated[tuple[OwnLink, ...], Strict(False)] = Field((), alias="chain")
     """The links one by one, from the base outwards."""
     backbone: Backbone | None = None
+    coupling: Literal["equal-angles"] | None = None
+    """equal-angles: linkage cables hold all bending hinges of the segment about one axis at one
+    angle. Without it each joint bends by itself."""
     own_cables: Cables | None = Field(None, alias="cables")
     own_servo: Servo | None = Field(None, alias="servo")
 
@@ -125,6 +128,7 @@ class Segment(Part):
                     f"backbone's curvature and twist must be at most {most:g} rad/m, where its "
                     f"hinges reach their limit, not {rest:g}"
                 )
+        self._check_coupling()
         return self
 
     def _check_stretch(self) -> None:
@@ -136,6 +140,17 @@ class Segment(Part):
                 f"cables.axial_stiffness must be at least the largest pull ({pull:g} N), under "
                 "which a cable is twice as long as at rest"
             )
+
+    def _check_coupling(self) -> None:
+        if self.coupling is None:
+            return
+        for axis in "xy":
+            hinges = [h for _, joint in self.pairs for h in joint.hinges if h.axis == axis]
+            if len({hinge.rest for hinge in hinges}) > 1:
+                raise ValueError(
+                    f"coupling needs the same rest angle in all hinges about {axis}, because they "
+                    "always have the same angle"
+                )
 
     def _check_chain(self) -> None:
         if self.own_link is not None or self.backbone is not None:

@@ -41,8 +41,7 @@ Ids = Sequence[int] | NDArray[np.integer] | NDArray[np.bool_] | None
 
 @taking_turns
 class Simulation(ABC):
-    """`num` copies of a robot in one engine; they start at rest, with all hinges at their rest
-    angles: straight, unless the description says otherwise.
+    """`num` copies of a robot in one engine; they start still, with hinges at their rest angles.
 
     Args:
         robot: the description.

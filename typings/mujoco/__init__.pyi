@@ -30,6 +30,7 @@ class mjtDisableBit(_Enum):
     mjDSBL_EULERDAMP: ClassVar[Self]
 
 class mjtEq(_Enum):
+    mjEQ_JOINT: ClassVar[Self]
     mjEQ_TENDON: ClassVar[Self]
 
 class mjtGeom(_Enum):
@@ -130,7 +131,10 @@ class MjsSite(_MjsElement):
     pos: _Floats
 
 class MjsEquality(_MjsElement):
+    type: mjtEq
     active: bool
+    solref: _Vector
+    solimp: _Vector
 
 class _Limited(_MjsElement):
     limited: mjtLimited
@@ -178,6 +182,7 @@ class MjsBody(_MjsElement):
         axis: ArrayLike = ...,
         damping: float = ...,
         stiffness: float = ...,
+        springref: float = ...,
         limited: mjtLimited = ...,
         range: ArrayLike = ...,
     ) -> MjsJoint: ...
@@ -242,7 +247,9 @@ class MjSpec:
         type: mjtEq = ...,
         objtype: mjtObj = ...,
         name1: str = ...,
+        name2: str = ...,
         active: bool = ...,
+        data: ArrayLike = ...,
         solref: ArrayLike = ...,
         solimp: ArrayLike = ...,
     ) -> MjsEquality: ...
@@ -325,6 +332,8 @@ class MjData:
     def __init__(self, model: MjModel) -> None: ...
     def body(self, name: int | str) -> _NamedInData: ...
     def site(self, name: int | str) -> _NamedInData: ...
+
+mjNEQDATA: int
 
 def mj_step(m: MjModel, d: MjData, nstep: int = 1) -> None: ...
 def mj_forward(m: MjModel, d: MjData) -> None: ...

@@ -12,9 +12,10 @@ import numpy as np
 import pytest
 
 from backends.pybullet.benchmarks import step_cost
-from backends.pybullet.cables import rig, stiff_dampers
+from backends.pybullet.cables import stiff_dampers
 from backends.pybullet.equation import Equation
 from backends.pybullet.options import PybulletOptions, PybulletStockOptions
+from backends.pybullet.rig import rig
 from backends.pybullet.simulation import PybulletSimulation, PybulletStock
 from backends.pybullet.workers import Pool
 from cdcsr.errors import CdcsrError, Diverged

@@ -1,0 +1,148 @@
+"""The numbers of a robot on which its cables depend, and the rows of the cables, compiled."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cdcsr.compiled import compiled
+from cdcsr.robot.description import Robot
+from cdcsr.robot.routing import crossing, routing
+
+Array = NDArray[np.float64]
+Ints = NDArray[np.int64]
+
+_crossing = compiled()(crossing)
+
+
+class Rig(NamedTuple):
+    """The cables and hinges of a robot as plain arrays; C cables, J joints, H hinges."""
+
+    universal: bool
+    """Whether every joint bends about x, then about y, and does not twist."""
+    hinges: NDArray[np.int64]
+    """The numbers of each joint's hinges, the lowest first, shape (J, 3); -1 is no hinge."""
+    axes: NDArray[np.int64]
+    """The axis of each of these hinges: 0, 1, 2 for x, y, z; shape (J, 3)."""
+    place: Array
+    """Position across the arm, shape (C, 2), in [m]."""
+    guide_offset: Array
+    """Shape (C,), in [m]."""
+    joints: NDArray[np.int64]
+    """How many joints each cable crosses, shape (C,)."""
+    slider_offset: Array
+    """Shape (C,), in [m]."""
+    slider_mass: Array
+    """Shape (C,), in [kg]."""
+    bent: Array
+    """How much longer the cables are at the start than along the straight arm, shape (C,), in
+    [m]."""
+    rest: Array
+    """Rest angles of the hinges, shape (H,), in [rad]."""
+    lower: Array
+    """Minus infinity for each slider, which nothing stops on its way down, then the lowest angle of
+    each hinge in [rad], shape (C + H,)."""
+    upper: Array
+    """The largest travel of each slider in [m], then angle of each hinge in [rad], (C + H,)."""
+    coupled: NDArray[np.bool_]
+    """Whether a hinge always has the angle of others, shape (H,)."""
+    leader: NDArray[np.int64]
+    """The hinge whose angle each hinge always has, mostly its own, shape (H,)."""
+    recovery_time: float
+    """The time constant with which an excess of length decays, in [s]."""
+
+
+def rig(robot: Robot) -> Rig:
+    """Return the numbers of a robot that its tensions depend on and that no copy changes."""
+    route, leaders = routing(robot), np.array(robot.leaders)
+    return Rig(
+        universal=route.is_universal,
+        hinges=route.hinges,
+        axes=route.axes,
+        place=route.place,
+        guide_offset=route.guide_offset,
+        joints=route.joints,
+        slider_offset=route.slider_offset,
+        slider_mass=np.array([servo.mass for servo in robot.servos], dtype=float),
+        bent=route.bent,
+        rest=np.array(robot.start_angles),
+        lower=np.array([-np.inf] * robot.num_cables + [h.lower for h in robot.hinges]),
+        upper=np.array([s.stop for s in robot.servos] + [h.upper for h in robot.hinges]),
+        coupled=np.isin(leaders, leaders[leaders != np.arange(len(leaders))]),
+        leader=leaders,
+        recovery_time=robot.constraint.recovery_time,
+    )
+
+
+@compiled()
+def cable_rows(rig: Rig, travel: Array, hinges: Array, jacobian: Array) -> Array:
+    """Return how much longer than at rest every cable is, as described, shape (C,), in [m].
+
+    Args:
+        rig: the robot's numbers.
+        travel: shape (C,), in [m].
+        hinges: shape (H,), in [rad].
+        jacobian: filled with the derivatives by sliders and hinges, shape (C, C + H).
+    """
+    excess = np.empty(travel.size)
+    sine, cosine = np.sin(hinges), np.cos(hinges)
+    for c in range(travel.size):
+        px, py, offset = rig.place[c, 0], rig.place[c, 1], rig.guide_offset[c]
+        below = rig.slider_offset[c] - travel[c]
+        jacobian[c, c] = -np.sign(below)
+        total = abs(below) - rig.slider_offset[c] - rig.bent[c]
+        for n in range(rig.joints[c]):
+            if not rig.universal:
+                low, high = np.array([px, py, -offset]), np.array([px, py, offset])
+                row = jacobian[c, travel.size :]
+                total += _any_crossing(rig, n, sine, cosine, low, high, row) - 2 * offset
+                continue
+            x, y = 2 * n, 2 * n + 1
+            length, by_x, by_y = _crossing(sine[x], cosine[x], sine[y], cosine[y], px, py, offset)
+            total += length - 2 * offset
+            jacobian[c, travel.size + x], jacobian[c, travel.size + y] = by_x, by_y
+        excess[c] = total
+    return excess
+
+
+@compiled()
+def _any_crossing(
+    rig: Rig, joint: int, sine: Array, cosine: Array, low: Array, high: Array, row: Array
+) -> float:
+    """Return the length between the guides below and above a joint of any hinges, in [m].
+
+    The upper guide is turned by R = R_1 R_2 R_3. With w_k = R_k ... R_3 high, a unit rate of the
+    hinge k moves it by R_1 ... R_(k-1) (a_k x w_k).
+
+    Args:
+        rig: the robot's numbers.
+        joint: its number.
+        sine, cosine: of all hinges.
+        low, high: the places of the guides in their links' frames at the joint, shape (3,), in [m].
+        row: filled with the derivatives by the joint's hinges, shape (H,), in [m/rad].
+    """
+    turned, point = np.empty((3, 3)), high.copy()
+    for k in range(2, -1, -1):
+        hinge = rig.hinges[joint, k]
+        if hinge >= 0:
+            _turn(point, rig.axes[joint, k], sine[hinge], cosine[hinge])
+            turned[k] = point
+    along = point - low
+    length = np.sqrt(along[0] ** 2 + along[1] ** 2 + along[2] ** 2)
+    for k in range(3):
+        hinge, a = rig.hinges[joint, k], rig.axes[joint, k]
+        if hinge >= 0:
+            b, c = (a + 1) % 3, (a + 2) % 3  # a_k x w has -w_c along b, and w_b along c
+            row[hinge] = (turned[k, b] * along[c] - turned[k, c] * along[b]) / length
+            _turn(along, a, -sine[hinge], cosine[hinge])
+    return length
+
+
+@compiled()
+def _turn(vector: Array, axis: int, sine: Array, cosine: Array) -> None:
+    """Turn a vector about a coordinate axis by the angle of a sine and a cosine."""
+    b, c = (axis + 1) % 3, (axis + 2) % 3
+    first, second = vector[b], vector[c]
+    vector[b], vector[c] = cosine * first - sine * second, sine * first + cosine * second
