@@ -45,7 +45,7 @@ def write_run(
         "updates": 1000,
         "randomize": 0.0,
         "switches": {},
-        "budget": "quick",
+        "budget": "standard",
     }
     data = {
         "spec": {**usual, **spec},

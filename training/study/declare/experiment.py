@@ -20,6 +20,8 @@ class Cell:
     """Length of training, as a multiple of the budget's."""
     own_demonstrations: bool = False
     """Each seed records demonstrations of its own, instead of sharing those of seed 0."""
+    more_seeds: int = 0
+    """How many seeds it has beyond the budget's, instead of those."""
 
 
 @dataclass(frozen=True)
@@ -44,6 +46,7 @@ def trained(
     demonstrations: int = 10,
     randomize: float = 0.0,
     start: StartName = "still",
+    more_seeds: int = 0,
 ) -> Cell:
     """Return the cell of a training run; if no evaluation is named it gets the nominal one."""
     spec = RunDescription(
@@ -57,7 +60,7 @@ def trained(
         start=start,
         changes=changes,
     )
-    return Cell(spec, evaluations or ("nominal",), length, own_demonstrations)
+    return Cell(spec, evaluations or ("nominal",), length, own_demonstrations, more_seeds)
 
 
 def untrained(name: str, *evaluations: str, task: str = "reach", space: str = "anchor") -> Cell:

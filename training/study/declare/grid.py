@@ -7,6 +7,7 @@ from dataclasses import replace
 from itertools import product
 
 from cdcsr.errors import CdcsrError, unknown_choice
+from cdcsr.tasks.starts import StartName
 from training.algorithms.registry import ALGORITHMS
 from training.config.run_description import NEAREST, SCRIPTED, RunDescription
 from training.study.declare.budgets import Budget
@@ -48,19 +49,20 @@ HARDER = ("capture", "follow-random")
 """Tasks in which the tip must stay on the target. In Anchor Space."""
 MOVING = ("capture-drift", "capture-tumble")
 """Tasks in which the target moves. In Anchor Space."""
-TRANSFERRED = (
-    (OURS, "mujoco", "spatter", "reach", 0.0),
-    ("bc", "mujoco", "spatter", "reach", 0.0),
-    (OURS, "mujoco", "spatter", "reach", 1.0),
-    (OURS, "pybullet", "spatter", "reach", 0.0),
-    ("batd3", "mujoco", "spatter", "reach", 0.0),
-    (OURS, "mujoco-stock", "spatter", "reach", 0.0),
-    (OURS, "mujoco+mujoco-stock", "spatter", "reach", 0.0),
-    ("bc", "mujoco", "anchor", "capture", 0.0),
-    (OURS, "mujoco", "anchor", "capture", 0.0),
+TRANSFERRED: tuple[tuple[str, str, str, str, float, StartName], ...] = (
+    (OURS, "mujoco", "spatter", "reach", 0.0, "still"),
+    ("bc", "mujoco", "spatter", "reach", 0.0, "still"),
+    (OURS, "mujoco", "spatter", "reach", 1.0, "still"),
+    (OURS, "pybullet", "spatter", "reach", 0.0, "still"),
+    ("batd3", "mujoco", "spatter", "reach", 0.0, "still"),
+    (OURS, "mujoco-stock", "spatter", "reach", 0.0, "still"),
+    (OURS, "mujoco+mujoco-stock", "spatter", "reach", 0.0, "still"),
+    ("bc", "mujoco", "anchor", "capture", 0.0, "still"),
+    (OURS, "mujoco", "anchor", "capture", 0.0, "still"),
+    (OURS, "mujoco", "spatter", "reach", 0.0, "anywhere"),
 )
 """The recipes whose transfer is measured: algorithm, engine of training, space, task, scale of
-domain randomization."""
+domain randomization, start."""
 
 
 EXPERIMENTS = {
@@ -127,10 +129,15 @@ EXPERIMENTS = {
                 backend=backend,
                 task=task,
                 randomize=scale,
+                start=start,
                 own_demonstrations=True,
             )
-            for name, backend, space, task, scale in TRANSFERRED
+            for name, backend, space, task, scale, start in TRANSFERRED
         ],
+    ),
+    "more-seeds": Experiment(
+        "CLASP capturing in MuJoCo, with five seeds that the other experiments do not have.",
+        [trained(OURS, "anchor", task="capture", more_seeds=5)],
     ),
     "plants": Experiment(
         "A plant that differs from the description, with and without domain randomization.",
@@ -314,6 +321,8 @@ def _seeds(cell: Cell, budget: Budget) -> range:
     """Return the seeds of a cell. Demonstrations of seed 0 belong to all other runs."""
     if cell.own_demonstrations:
         return range(1, budget.own_seeds + 1)
+    if cell.more_seeds:
+        return range(budget.seeds, budget.seeds + cell.more_seeds)
     return range(budget.seeds if cell.spec.trains else 1)
 
 

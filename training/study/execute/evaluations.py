@@ -120,12 +120,12 @@ def around(subject: Subject, episodes: int) -> Iterator[Row]:
 
 
 def engines(subject: Subject, episodes: int) -> Iterator[Row]:
-    """Measure in every engine, in the space of training."""
-    space = subject.spec.space
+    """Measure in every engine, in the space of training, and from still starts, so that all recipes
+    have the same episodes."""
+    space, options = subject.spec.space, Options(**subject.options)
+    options["start"] = "still"
     for backend in backend_names():
-        result = evaluate(
-            subject.controller, subject.robot, backend, space, episodes, **subject.options
-        )
+        result = evaluate(subject.controller, subject.robot, backend, space, episodes, **options)
         yield from episode_rows(backend, space, "nominal", 0, result)
 
 

@@ -141,12 +141,14 @@ def _range(numbers: Sequence[int]) -> str:
 
 
 def who(setting: RunDescription) -> str:
-    """Return a setting's algorithm with its changed numbers and its domain randomization."""
+    """Return a setting's algorithm with its changed numbers, domain randomization and starts."""
     parts = [f"{name} = {plain_text(value)}" for name, value in setting.changes]
     if setting.randomize:
         parts.append(
             "randomized plants" + ("" if setting.randomize == 1 else f" × {setting.randomize:g}")
         )
+    if setting.start != "still":
+        parts.append(f"start {setting.start}")
     return ", ".join([algorithm_title(setting.algorithm), *parts])
 
 

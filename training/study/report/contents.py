@@ -17,9 +17,9 @@ from training.study.report.beside_paper import (
 from training.study.report.cells import Table
 from training.study.report.engine_differences import methods, tasks
 from training.study.report.learning_curves import Figures, curve_figures
-from training.study.report.nearness import nearness, nearness_figures
+from training.study.report.nearness import far_captures, nearness, nearness_figures
 from training.study.report.plant_plots import follow_figures, plant_figures
-from training.study.report.records import Run
+from training.study.report.records import Run, is_extra, shared
 from training.study.report.shipped_policies import shipped
 from training.study.report.tables import (
     ablation,
@@ -81,7 +81,7 @@ def other_tables(runs: Sequence[Run], results: Path) -> list[Table]:
     """Return all other tables, of runs and of the folder that they come from."""
     common = _alike(runs)
     ours = [make(common) for make in TABLES]
-    return [*ours, transfer(runs), *(make(results) for make in STORED_TABLES)]
+    return [*ours, transfer(runs), far_captures(runs), *(make(results) for make in STORED_TABLES)]
 
 
 def draw_figures(runs: Sequence[Run], folder: Path) -> list[tuple[str, str]]:
@@ -91,8 +91,9 @@ def draw_figures(runs: Sequence[Run], folder: Path) -> list[tuple[str, str]]:
 
 
 def _alike(runs: Sequence[Run]) -> list[Run]:
-    """Return the runs whose seeds share demonstrations, as those of most tables do."""
-    return [run for run in runs if not run.setting.demonstration_seed]
+    """Return the runs whose seeds share demonstrations, as those of most tables do, without the
+    seeds beyond their budget."""
+    return [run for run in shared(runs) if not is_extra(run)]
 
 
 def expected_runs(runs: Sequence[Run]) -> Expected | None:

@@ -30,6 +30,8 @@ from training.study.report.records import (
     Run,
     at_home,
     grouped,
+    is_extra,
+    shared,
 )
 from training.study.report.table_parts import basis
 
@@ -121,6 +123,33 @@ def nearness(runs: Sequence[Run]) -> Table:
         head,
         values,
     )
+
+
+def far_captures(runs: Sequence[Run]) -> Table:
+    """Return CLASP's captures far from all demonstrations, seed by seed, also of seeds beyond the
+    budget."""
+    robot, rows = load_robot(ROBOT), []
+    chosen = [
+        run
+        for run in shared(runs)
+        if run.fingerprint == robot.fingerprint
+        and _as_shown(run)
+        and (run.setting.algorithm, run.setting.task, run.setting.space)
+        == ("clasp", "capture", "anchor")
+    ]
+    groups: dict[tuple[str, bool], list[Run]] = {}
+    for run in chosen:
+        groups.setdefault((run.setting.backend, is_extra(run)), []).append(run)
+    for (engine, _), group in sorted(groups.items()):
+        found = [run.evaluations["nominal"].where(backend=engine) for run in group]
+        far = [distances(robot, "anchor", len(one)) >= BOUNDS[-2] for one in found]
+        rates = [one.success[mask] for one, mask in zip(found, far, strict=True)]
+        seeds = sorted(run.seed or 0 for run in group)
+        each = ", ".join(f"{one.mean():.2f}" for one in rates)
+        rows.append([engine_title(engine), f"{seeds[0]} to {seeds[-1]}", rate(rates), each])
+    note = "Targets at 90 mm or more from all ten demonstrations, in the engine of training. "
+    head = ("trained in", "seeds", "κ", "of each seed")
+    return Table("far-captures", "CLASP's captures far from all demonstrations", note, head, rows)
 
 
 def nearness_figures(runs: Sequence[Run], out: Path) -> Figures:

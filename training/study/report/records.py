@@ -15,6 +15,7 @@ from cdcsr.errors import CdcsrError
 from cdcsr.reading import check_name
 from training.algorithms.registry import algorithm_order
 from training.config.run_description import NEAREST, SCRIPTED, RunDescription
+from training.study.declare.budgets import BUDGETS
 from training.study.store import Columns, StoredRun, read_results
 
 Array = NDArray[np.float64]
@@ -61,6 +62,17 @@ def is_usual(setting: RunDescription) -> bool:
 def is_of_paper(setting: RunDescription) -> bool:
     """Return whether a run is of the paper's task in one of its spaces."""
     return setting.task == REACH and setting.space in SPACES
+
+
+def shared(runs: Iterable[Run]) -> list[Run]:
+    """Return the runs whose seeds share demonstrations."""
+    return [run for run in runs if not run.setting.demonstration_seed]
+
+
+def is_extra(run: Run) -> bool:
+    """Return whether a run has a seed beyond those that its budget gives to every method."""
+    budget = BUDGETS.get(run.budget or "")
+    return budget is not None and (run.seed or 0) >= budget.seeds
 
 
 def plain_text(value: object) -> str:

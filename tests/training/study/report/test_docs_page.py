@@ -69,13 +69,14 @@ def test_a_reference_to_nothing_is_named(reference: str, message: str) -> None:
         render(reference, TABLES)
 
 
-def test_the_studys_page_has_the_numbers_of_the_results(tmp_path: Path) -> None:
-    template = tmp_path / "study.md.in"
-    template.write_bytes((ROOT / "docs" / "study.md.in").read_bytes())
+@pytest.mark.parametrize("page", sorted(one.name for one in (ROOT / "docs").glob("*.md.in")))
+def test_pages_have_the_numbers_of_the_results(page: str, tmp_path: Path) -> None:
+    template = tmp_path / page
+    template.write_bytes((ROOT / "docs" / page).read_bytes())
     report(results=ROOT / "results", docs=template)
-    made = (tmp_path / "study.md").read_text("utf-8")
-    assert made == (ROOT / "docs" / "study.md").read_text("utf-8"), (
-        "run `python -m training.report --docs docs/study.md.in`"
+    made = template.with_suffix("").read_text("utf-8")
+    assert made == (ROOT / "docs" / page).with_suffix("").read_text("utf-8"), (
+        f"run `python -m training.report --docs docs/{page}`"
     )
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from types import SimpleNamespace
 
 import imageio.v2 as imageio
 import numpy as np
@@ -17,7 +18,12 @@ from tests.support.small_study import find, nominal, write_run
 from training.algorithms.registry import ALGORITHMS
 from training.config.seeds import TEST_SEED
 from training.study.report import nearness as module
-from training.study.report.nearness import distances, nearness, nearness_figures
+from training.study.report.nearness import (
+    distances,
+    far_captures,
+    nearness,
+    nearness_figures,
+)
 from training.study.report.records import load_study
 
 ROBOT = load_robot("paper")
@@ -120,3 +126,25 @@ def test_a_figure_shows_the_methods_of_one_engine_and_length(study: Path, tmp_pa
         if (picture == ImageColor.getrgb(entry.color)).all(axis=2).sum() > 20
     }
     assert seen - {"drldr"} == {"batd3", "bc"}  # its colour is that of text
+
+
+def test_far_captures_keep_later_seeds_apart(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Two targets of four are far; a budget of three seeds ends with seed 2."""
+    monkeypatch.setattr(module, "distances", lambda *_: np.array([0.089, 0.09, 0.029, 0.2]))
+    monkeypatch.setattr(module, "load_robot", lambda _: SimpleNamespace(fingerprint="f"))
+    for seed, outcomes in enumerate(("1010", "1110", "1111", "0001", "0101")):
+        write_run(
+            tmp_path,
+            f"r{seed}",
+            {"nominal": [nominal(outcomes)]},
+            seed=seed,
+            algorithm="clasp",
+            task="capture",
+            budget="standard",
+        )
+    assert far_captures(load_study(tmp_path)).markdown().splitlines()[2:] == [
+        "| MuJoCo     | 0 to 2 | 0.50 [0.00, 1.00] | 0.00, 0.50, 1.00 |",
+        "| MuJoCo     | 3 to 4 | 0.75 [0.50, 1.00] | 0.50, 1.00       |",
+    ]

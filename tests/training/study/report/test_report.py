@@ -48,7 +48,7 @@ def test_report_is_whole_and_replaces_only_reports(
     }
     monkeypatch.setattr(
         "training.study.declare.grid.expected",
-        lambda budget: expected if budget.name == "quick" else {},
+        lambda budget: expected if budget.name == "standard" else {},
     )
     out, data = tmp_path / "report", tmp_path / "report.json"
     report(results=study, out=out, json=data)
@@ -121,13 +121,13 @@ def test_episodes_are_sorted(tmp_path: Path) -> None:
 
 
 def test_missing_runs_are_those_of_the_most_frequent_budget(tmp_path: Path) -> None:
-    for seed, budget in enumerate(("quick", "standard", "standard", None)):
+    for seed, budget in enumerate(("quick", "paper", "paper", None)):
         write_run(
             tmp_path / "study", f"s{seed}", {"nominal": [nominal("11")]}, seed=seed, budget=budget
         )
     report(results=tmp_path / "study", out=tmp_path / "out", json=tmp_path / "report.json")
     lacking = json.loads((tmp_path / "report.json").read_text("utf-8"))["not_run"]["table2"]
-    assert set(lacking) == set(expected(BUDGETS["standard"])["table2"])
+    assert set(lacking) == set(expected(BUDGETS["paper"])["table2"])
 
 
 def test_runs_of_two_robots_are_said_to_be(study: Path) -> None:

@@ -86,7 +86,7 @@ def test_beside_the_paper(study: Path) -> None:
     row = find(two, algorithm="BATD3", space="Anchor")
     assert (row["paper κ"], row["seeds"]) == ("0.76", 3)
     assert row["command"] == (
-        "`python -m training.experiments table2 --budget quick --only "
+        "`python -m training.experiments table2 --budget standard --only "
         "'batd3-tuned_anchor_mujoco_d10_u1000_s*'`"
     )
     assert " fig4 " in find(two, algorithm="BATD3", space="Spatter")["command"]
