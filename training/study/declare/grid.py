@@ -59,6 +59,7 @@ TRANSFERRED: tuple[tuple[str, str, str, str, float, StartName], ...] = (
     (OURS, "mujoco+mujoco-stock", "spatter", "reach", 0.0, "still"),
     ("bc", "mujoco", "anchor", "capture", 0.0, "still"),
     (OURS, "mujoco", "anchor", "capture", 0.0, "still"),
+    (OURS, "mujoco+mujoco-stock", "anchor", "capture", 0.0, "still"),
     (OURS, "mujoco", "spatter", "reach", 0.0, "anywhere"),
 )
 """The recipes whose transfer is measured: algorithm, engine of training, space, task, scale of
