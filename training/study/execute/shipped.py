@@ -23,6 +23,9 @@ SOFTNESS = ("mujoco-stock:softness=description", "mujoco-stock:integrator=RK4")
 """Stock MuJoCo with one setting changed."""
 
 
+OTHER_STARTS = ("moving", "anywhere")
+
+
 class Place(NamedTuple):
     """Where a controller is measured."""
 
@@ -31,13 +34,19 @@ class Place(NamedTuple):
     backend: str
 
 
-def places() -> list[Place]:
-    """Return where every controller is measured: in every engine, in all spaces from rest, and in
-    Spatter from the other starts; in Spatter also in the variants of stock MuJoCo."""
-    own = [("anchor", "still"), ("floating", "still"), ("spatter", "still"), ("workspace", "still")]
-    own += [("spatter", "moving"), ("spatter", "anywhere")]
-    everywhere = [Place(*one, backend) for one, backend in product(own, backend_names())]
-    return everywhere + [Place("spatter", "still", backend) for backend in SOFTNESS]
+def places(start: str) -> list[Place]:
+    """Return where a controller is measured, whose training began in the states `start`.
+
+    From rest in every engine and space, and in Spatter also in the variants of stock MuJoCo. From
+    other starts in MuJoCo, and in every engine if it was trained from other starts.
+    """
+    spaces = ("anchor", "floating", "spatter", "workspace")
+    found = [Place(space, "still", engine) for space, engine in product(spaces, backend_names())]
+    found += [Place("spatter", "still", engine) for engine in SOFTNESS]
+    engines = ["mujoco"] if start == "still" else backend_names()
+    return found + [
+        Place("spatter", other, engine) for other, engine in product(OTHER_STARTS, engines)
+    ]
 
 
 def measure_shipped(store: Path, episodes: int = 100) -> int:
@@ -85,4 +94,4 @@ def _wanted() -> Iterator[tuple[str, Controller, Place]]:
     found |= {name: load_policy(folder) for name, folder in shipped_policies().items()}
     for name, controller in found.items():
         if controller is not None:
-            yield from ((name, controller, place) for place in places())
+            yield from ((name, controller, place) for place in places(controller.start))

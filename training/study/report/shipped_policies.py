@@ -63,8 +63,9 @@ def write_card(folder: Path, results: Path) -> None:
     head = ["space", "start"]
     for engine in backend_names():
         head += [engine_title(engine), "length"]
+    none = "not measured", "-"
     body = [
-        [*place, *(str(x) for engine in backend_names() for x in cells[*place, engine])]
+        [*place, *(str(x) for engine in backend_names() for x in cells.get((*place, engine), none))]
         for place in places
     ]
     write_text(path, _TABLE.sub(lambda _: markdown(head, body) + "\n", text))

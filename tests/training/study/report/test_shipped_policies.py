@@ -57,7 +57,7 @@ def test_card_without_a_table_is_refused(tmp_path: Path) -> None:
 def test_only_other_policies_are_measured_again(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(measured, "places", lambda: [Place("anchor", "still", "mujoco")])
+    monkeypatch.setattr(measured, "places", lambda _: [Place("anchor", "still", "mujoco")])
     monkeypatch.setattr(measured, "SCRIPTED", ("nearest",))
     monkeypatch.setattr(measured, "shipped_policies", lambda: {})
     assert measure_shipped(tmp_path, 2) == 1
