@@ -108,6 +108,7 @@ WORKING = {
     "validate": "cosserat none",
     "doctor": "",
     "export": "nobody --out new.onnx",
+    "film": "jacobian --out new.gif --robot planar-single --width 32 --seconds 0.01 --targets 1",
     "demo": "--out new --minutes 1",
     "bench": "none",
     "train": "--out new --algorithm bc --robot planar-single --learner.bc-updates 1",

@@ -22,9 +22,9 @@ from training.config.run_description import Changes
 from training.config.seeds import TEST_SEED
 from training.measure.evaluation import Result
 from training.measure.transfer_matrix import disagreements, format_table, transfer
+from training.plots import video
 from training.plots.learning_curve import draw_learning_curve
 from training.plots.targets import draw_targets
-from training.plots.video import policy_video
 from training.policy import Policy, load_policy
 from training.run.metrics import read_metrics
 from training.run.train_options import Train
@@ -243,11 +243,10 @@ class Demo:
     def _film(self) -> None:
         _, policy = self._policies()
         targets = np.array(read_json(self._out / CELLS)["cells"][-1]["targets"])
-        policy_video(
-            policy,
-            self._robot,
-            principal_engines(),
-            targets[: self._amounts.filmed],
-            [self._out / VIDEO, self._out / ANIMATION],
-            policy.frame_skip,
-        )
+        targets, engines = targets[: self._amounts.filmed], principal_engines()
+        skip = policy.frame_skip
+        recordings = [video.record(policy, self._robot, name, targets, skip) for name in engines]
+        period = self._robot.time_step * int(policy.card["frame_skip"])
+        frames = list(video.draw_frames(recordings, self._robot, targets, period))
+        video.write_video(frames, self._out / VIDEO)
+        video.write_video(video.halved(frames), self._out / ANIMATION, video.FRAMES_PER_SECOND // 2)

@@ -1,10 +1,11 @@
-"""Film a controller side by side in several engines, without a display or a graphics driver."""
+"""Film a controller side by side in several engines, without a display or a graphics driver: as a
+video, or as a page whose robots can be looked at from all sides."""
 
 from __future__ import annotations
 
 import tempfile
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 
 import imageio.v2 as imageio
@@ -16,7 +17,7 @@ from tqdm import tqdm
 from backends.viewers.software import Renderer
 from cdcsr.envs.gym_env import TaskVectorEnv
 from cdcsr.errors import CdcsrError
-from cdcsr.files import write_bytes
+from cdcsr.files import write_bytes, write_text
 from cdcsr.robot.colors import BACKGROUND
 from cdcsr.robot.description import Robot
 from cdcsr.robot.ruler import ruler
@@ -34,12 +35,32 @@ FRAME_PERIOD = 0.01
 HOLD = 14
 """Frames for which the end of an episode is shown."""
 WIDTH, HEIGHT, CAPTION = 400, 640, 80
-"""Size of one engine's picture, and height of the caption above it, in pixels. Video codecs need
-multiples of 16."""
+"""Size of one engine's picture, and height of the caption above it, in pixels. Pictures of another
+width have the same proportions."""
 CLOSE = 160
 """Edge of the near view beside the robot, in pixels."""
 _INK, _SOFT, _LINE = "#333333", "#808080", "#d5d7db"
 _MARGIN = 20
+
+
+@dataclass(frozen=True)
+class Style:
+    """How a film looks."""
+
+    rate: int = FRAMES_PER_SECOND
+    """Frames in a second."""
+    period: float = field(default_factory=lambda: FRAME_PERIOD)
+    """Simulated time between two frames, in [s]."""
+    width: int = WIDTH
+    """Width of one engine's picture in pixels, even."""
+    camera: str = "side"
+    """A name in :data:`cdcsr.simulation.cameras.CAMERAS`."""
+    seconds: float = np.inf
+    """The simulated time after which an episode is no longer shown, in [s]."""
+
+    def pixels(self, length: int) -> int:
+        """Return a length of the picture that is :data:`WIDTH` wide in pixels of this one, even."""
+        return 2 * round(length * self.width / WIDTH / 2)
 
 
 @dataclass(frozen=True)
@@ -55,6 +76,13 @@ class Recording:
     """The step at which each episode ended, shape (N,)."""
     success: NDArray[np.bool_]
     """Whether each episode succeeded, shape (N,)."""
+    tension: Array
+    """The tension of the cables in [N], shape (steps + 1, N, C)."""
+
+    def rows(self, episode: int, period: float, style: Style) -> list[int]:
+        """Return the rows of an episode that are shown, whose distance in time is `period` [s]."""
+        end = min(int(self.end[episode]), round(min(style.seconds / period, 1e9)))
+        return [*range(0, end, max(1, round(style.period / period))), end]
 
 
 def record(
@@ -77,16 +105,17 @@ def record(
     env = TaskVectorEnv(num, robot, backend, frame_skip=frame_skip, autoreset_mode="Disabled")
     try:
         observation, info = env.reset(options={"targets": targets})
-        position, distance = [env.simulation.get_snapshot().position], [info["distance"]]
+        position, distance, tension = [], [], []
 
         def watch(_: int, info: Mapping[str, Array]) -> None:
             position.append(env.simulation.get_snapshot().position)
             distance.append(info["distance"])
+            tension.append(env.simulation.state().cable_tension)
 
+        watch(0, info)
         done = rollout(controller, env, observation, watch)
-        return Recording(
-            backend, np.array(position), np.array(distance), done.length, done.terminated
-        )
+        rows = np.array(position), np.array(distance)
+        return Recording(backend, *rows, done.length, done.terminated, np.array(tension))
     finally:
         env.close()
 
@@ -96,28 +125,57 @@ def policy_video(
     robot: Robot,
     backends: Sequence[str],
     targets: Array,
-    paths: Sequence[Path],
+    path: Path,
     frame_skip: int | None = None,
+    style: Style | None = None,
 ) -> None:
-    """Write a video of a controller that reaches for targets, one column an engine, in slow motion.
+    """Film a controller that reaches for targets, one column an engine, in slow motion.
 
     Args:
         controller: the controller to film.
         robot: the description.
         backends: the engines.
         targets: one for each episode, shape (N, 3), world frame, in [m].
-        paths: the files to write; their endings give the formats, .mp4 or .gif.
+        path: the file to write; its ending gives the format, .mp4, .gif or .html, which is a page
+            that needs nothing else.
         frame_skip: simulation steps for which each action is held; by default the robot's own.
+        style: how the film looks.
     """
+    style = style or Style()
     recordings = [record(controller, robot, backend, targets, frame_skip) for backend in backends]
     skip = ruler(robot).frame_skip if frame_skip is None else frame_skip
-    frames = list(draw_frames(recordings, robot, targets, robot.time_step * skip))
-    for path in paths:
-        write_video(frames, path)
+    period = robot.time_step * skip
+    if path.suffix == ".html":
+        write_text(path, draw_page(recordings, robot, targets, period, style))
+    else:
+        write_video(list(draw_frames(recordings, robot, targets, period, style)), path, style.rate)
+
+
+def draw_page(
+    recordings: Sequence[Recording], robot: Robot, targets: Array, period: float, style: Style
+) -> str:
+    """Return a page that shows the episodes one after another; arguments as for `draw_frames`."""
+    from backends.viewers.page import Moment, page  # needs an extra
+
+    moments: list[list[Moment]] = []
+    for n, target in enumerate(targets):
+        shown = [recording.rows(n, period, style) for recording in recordings]
+        for i in range(max(map(len, shown)) + HOLD):
+            moments.append([])
+            for recording, rows in zip(recordings, shown, strict=True):
+                row = rows[min(i, len(rows) - 1)]
+                state = recording.position[row, n], recording.tension[row, n]
+                moments[-1].append(Moment(*state, target))
+    titles = [engine_title(recording.backend) for recording in recordings]
+    return page(robot, titles, moments, 1 / style.rate)
 
 
 def draw_frames(
-    recordings: Sequence[Recording], robot: Robot, targets: Array, period: float
+    recordings: Sequence[Recording],
+    robot: Robot,
+    targets: Array,
+    period: float,
+    style: Style | None = None,
 ) -> Iterator[Picture]:
     """Yield the frames of a video, episode after episode.
 
@@ -126,25 +184,25 @@ def draw_frames(
         robot: the description.
         targets: shape (N, 3), world frame, in [m].
         period: time between two rows of a recording, in [s].
+        style: how the film looks.
     """
-    stride = max(1, round(FRAME_PERIOD / period))
+    style = style or Style()
     rows = [
-        [[*range(0, int(end), stride), int(end)] for end in recording.end]
-        for recording in recordings
+        [recording.rows(n, period, style) for n in range(len(targets))] for recording in recordings
     ]
     total = sum(len(drawn) for episodes in rows for drawn in episodes)
     renderer = Renderer(robot)
     try:
         with tqdm(total=total, desc="video", unit="picture", disable=None) as bar:
             for n, target in enumerate(targets):
+                title = f"target {n + 1} of {len(targets)}"
                 columns: list[list[Picture]] = []
                 for recording, episodes in zip(recordings, rows, strict=True):
                     columns.append([])
                     for row in episodes[n]:
-                        caption = _caption(
-                            recording, n, row, f"target {n + 1} of {len(targets)}", row * period
-                        )
-                        picture = _picture(renderer, robot, recording.position[row, n], target)
+                        caption = _caption(recording, n, row, title, row * period, style)
+                        position = recording.position[row, n]
+                        picture = _picture(renderer, robot, position, target, style)
                         columns[-1].append(np.concatenate([caption, picture]))
                         bar.update()
                 # Where an episode ends sooner than in another engine, its last picture stays.
@@ -156,15 +214,15 @@ def draw_frames(
         renderer.close()
 
 
-def write_video(frames: Sequence[Picture], path: Path) -> None:
-    """Write frames as .mp4, or as .gif of half the size and rate.
+def write_video(frames: Sequence[Picture], path: Path, rate: int = FRAMES_PER_SECOND) -> None:
+    """Write frames, so many a second, as .mp4, or as .gif in 64 colours.
 
     Raises:
         CdcsrError: the file, or a temporary one, cannot be written.
     """
     try:
         with tempfile.TemporaryDirectory() as folder:
-            _encode(frames, file := Path(folder) / f"video{path.suffix}")
+            _encode(frames, file := Path(folder) / f"video{path.suffix}", rate)
             data = file.read_bytes()
     except OSError as error:  # of the encoder too, whose own text has many lines
         line = str(error).partition("\n")[0]
@@ -172,58 +230,68 @@ def write_video(frames: Sequence[Picture], path: Path) -> None:
     write_bytes(path, data)
 
 
-def _encode(frames: Sequence[Picture], file: Path) -> None:
+def _encode(frames: Sequence[Picture], file: Path, rate: int) -> None:
     """Write frames as a video of the format that the file's ending gives."""
     if file.suffix == ".gif":
-        height, width, _ = frames[0].shape
-        small = [
-            Image.fromarray(frame).resize((width // 2, height // 2)).quantize(64)
-            for frame in frames[::2]
-        ]
-        small[0].save(
-            file,
-            save_all=True,
-            append_images=small[1:],
-            duration=2000 // FRAMES_PER_SECOND,
-            loop=0,
-        )
+        first, *rest = _with_one_palette(frames)
+        duration = round(1000 / rate)
+        first.save(file, save_all=True, append_images=rest, duration=duration, loop=0)
     else:
         imageio.mimwrite(
             file,
             list(frames),
             format="FFMPEG",
-            fps=FRAMES_PER_SECOND,
+            fps=rate,
             codec="libx264",
             quality=7,
+            macro_block_size=2,
         )  # type: ignore[arg-type]
 
 
-def _picture(renderer: Renderer, robot: Robot, position: Array, target: Array) -> Picture:
+def halved(frames: Sequence[Picture]) -> list[Picture]:
+    """Return every other frame, at half the size."""
+    return [np.asarray(Image.fromarray(frame).reduce(2)) for frame in frames[::2]]
+
+
+def _with_one_palette(frames: Sequence[Picture]) -> list[Image.Image]:
+    """Return frames in the 64 colours of the last one, so that only what moves changes."""
+    palette = Image.fromarray(frames[-1]).quantize(64)
+    none = Image.Dither.NONE
+    return [Image.fromarray(frame).quantize(palette=palette, dither=none) for frame in frames]
+
+
+def _picture(
+    renderer: Renderer, robot: Robot, position: Array, target: Array, style: Style
+) -> Picture:
     """Draw the whole robot, and beside it a near view of the target."""
-    picture = renderer.draw(position, targets=target, size=(HEIGHT, WIDTH))
-    near = renderer.draw(
-        position, targets=target, size=(CLOSE, CLOSE), focus=(target, 0.15 * robot.arm_length)
-    )
-    top, left = HEIGHT // 2 - CLOSE, WIDTH - _MARGIN - CLOSE
-    picture[top - 1 : top + CLOSE + 1, left - 1 : left + CLOSE + 1] = ImageColor.getrgb(_LINE)
-    picture[top : top + CLOSE, left : left + CLOSE] = near
+    height, close, margin = map(style.pixels, (HEIGHT, CLOSE, _MARGIN))
+    size, camera = (height, style.pixels(WIDTH)), style.camera
+    picture = renderer.draw(position, camera, target, size)
+    focus = target, 0.15 * robot.arm_length
+    near = renderer.draw(position, camera, target, (close, close), focus)
+    top, left = height // 2 - close, size[1] - margin - close
+    picture[top - 1 : top + close + 1, left - 1 : left + close + 1] = ImageColor.getrgb(_LINE)
+    picture[top : top + close, left : left + close] = near
     return picture
 
 
-def _caption(recording: Recording, episode: int, row: int, title: str, time: float) -> Picture:
+def _caption(
+    recording: Recording, episode: int, row: int, title: str, time: float, style: Style
+) -> Picture:
     """Draw the text above a picture: engine, target, time and distance."""
-    image = Image.new("RGB", (WIDTH, CAPTION), BACKGROUND)
+    pixels = style.pixels
+    image = Image.new("RGB", (pixels(WIDTH), pixels(CAPTION)), BACKGROUND)
     draw = ImageDraw.Draw(image)
-    large, small = ImageFont.load_default(24), ImageFont.load_default(17)
-    right = WIDTH - _MARGIN
-    draw.text((_MARGIN, 12), engine_title(recording.backend), _INK, large)
-    draw.text((right, 17), title, _SOFT, small, anchor="ra")
-    draw.text((_MARGIN, 48), f"{1000 * time:.0f} ms", _INK, small)
+    large, small = ImageFont.load_default(pixels(24)), ImageFont.load_default(pixels(18))
+    left, right, second = pixels(_MARGIN), pixels(WIDTH - _MARGIN), pixels(48)
+    draw.text((left, pixels(12)), engine_title(recording.backend), _INK, large)
+    draw.text((right, pixels(16)), title, _SOFT, small, anchor="ra")
+    draw.text((left, second), f"{1000 * time:.0f} ms", _INK, small)
     words, color = f"{1000 * recording.distance[row, episode]:.0f} mm to target", _INK
     if row == recording.end[episode]:
         outcome = ("missed", MISSED_COLOR), ("reached", REACHED_COLOR)
         word, color = outcome[int(recording.success[episode])]
         words = f"{words}: {word}"
-    draw.text((right, 48), words, color, small, anchor="ra")
-    draw.line([(_MARGIN, CAPTION - 1), (right, CAPTION - 1)], _LINE)
+    draw.text((right, second), words, color, small, anchor="ra")
+    draw.line([(left, image.height - 1), (right, image.height - 1)], _LINE)
     return np.asarray(image)

@@ -143,7 +143,7 @@ def test_video_shows_a_moving_robot_in_each_half(
     assert len(frames) == expected
 
     video.write_video(frames, tmp_path / "policy.mp4")
-    video.write_video(frames, tmp_path / "policy.gif")
+    video.write_video(video.halved(frames), tmp_path / "policy.gif", 6)
     read = read_video(tmp_path / "policy.mp4")
     assert read.shape == (expected, video.CAPTION + video.HEIGHT, 2 * video.WIDTH, 3)
     for half in np.split(read, 2, axis=2):
