@@ -8,13 +8,15 @@ import zipfile
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+import gymnasium
 import numpy as np
+from gymnasium import spaces
 from numpy.typing import NDArray
 
 from cdcsr.errors import CdcsrError
 from cdcsr.reading import MOST_TABLE, check_file
 from cdcsr.simulation.contract import State
-from cdcsr.tasks.observation import observation_size, observe
+from cdcsr.tasks.observation import as_goals, observation_size, observe
 from controllers.controller import Conditions, Controller, Target
 
 if TYPE_CHECKING:
@@ -22,13 +24,16 @@ if TYPE_CHECKING:
 
 Array = NDArray[np.float64]
 
+_NO_BUFFER = {"buffer_size": 1, "replay_buffer_class": None, "replay_buffer_kwargs": {}}
+"""What only training needs; a buffer of hindsight would ask for an environment."""
+
 
 class StableBaselines(Controller):
     """A policy that stable-baselines3 saved after training in the environments of this project.
 
-    It observes eq. (1) and acts without noise. Actions are scaled as stable-baselines3 scales them,
-    to the action space that is in the file. Loading the file runs code that is in it, as
-    stable-baselines3 always does: load only files that you trust.
+    It observes eq. (1), or the same with goals apart, and acts without noise. Actions are scaled as
+    stable-baselines3 scales them, to the action space that is in the file. Loading the file runs
+    code that is in it, as stable-baselines3 always does: load only files that you trust.
 
     Args:
         path: what `model.save` wrote, of SAC, TD3, DDPG or PPO.
@@ -55,8 +60,10 @@ class StableBaselines(Controller):
             CdcsrError: its observations or actions have another size.
         """
         robot, model = conditions.robot, self._model
-        found = model.observation_space.shape, model.action_space.shape
-        expected = (observation_size(robot),), (robot.num_cables,)
+        example = np.zeros(observation_size(robot))
+        shown = {name: part.shape for name, part in as_goals(example).items()}
+        found = _shape(model.observation_space), _shape(model.action_space)
+        expected = shown if isinstance(found[0], dict) else example.shape, (robot.num_cables,)
         if found != expected:
             raise CdcsrError(
                 f"The policy in {self._path} has observations and actions of shapes {found[0]} and "
@@ -64,9 +71,18 @@ class StableBaselines(Controller):
             )
 
     def act(self, state: State, target: Target, time: Array) -> Array:
-        observation = observe(state, target.position)
+        observation: Array | dict[str, Array] = observe(state, target.position)
+        if isinstance(self._model.observation_space, spaces.Dict):
+            observation = as_goals(observation)
         action, _ = self._model.predict(observation, deterministic=True)
         return np.asarray(action, dtype=np.float64)
+
+
+def _shape(space: gymnasium.Space) -> dict[str, tuple[int, ...]] | tuple[int, ...] | None:
+    """Return the shape of a space, or those of its parts."""
+    if isinstance(space, spaces.Dict):
+        return {name: part.shape or () for name, part in space.items()}
+    return space.shape
 
 
 def _load(path: Path) -> BaseAlgorithm:
@@ -81,7 +97,8 @@ def _load(path: Path) -> BaseAlgorithm:
     try:
         _check_size(path)
         algorithm = _algorithm(path)
-        return getattr(stable_baselines3, algorithm).load(path, device="cpu")
+        kind = getattr(stable_baselines3, algorithm)
+        return kind.load(path, device="cpu", custom_objects=_NO_BUFFER)
     # The file runs its own code, which may fail in any way.
     except Exception as error:
         reason = (str(error).splitlines() or [""])[0]

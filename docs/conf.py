@@ -46,6 +46,8 @@ MODULES = (
     "cdcsr.tasks.catalogue",
     "cdcsr.tasks.observation",
     "cdcsr.tasks.starts",
+    "backends.sb3_env",
+    "backends.dm_env",
     "controllers.controller",
     "controllers.jacobian",
     "controllers.rollout",

@@ -19,7 +19,7 @@ from typing import get_args
 
 import numpy as np
 import torch
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 from safetensors import SafetensorError
 from safetensors.torch import load, save
 
@@ -27,8 +27,9 @@ from cdcsr.errors import CdcsrError, unknown_choice
 from cdcsr.files import JsonObject, note, read_json, sealed, write_bytes, write_json
 from cdcsr.reading import MOST_TABLE, digest, exists, is_file, read_bytes
 from cdcsr.robot.description import Robot, differences, parse_robot
+from cdcsr.simulation.arguments import as_floats
 from cdcsr.simulation.contract import State
-from cdcsr.tasks.observation import observe
+from cdcsr.tasks.observation import observation_size, observe
 from cdcsr.tasks.starts import start_name
 from controllers.controller import Conditions, Controller, Target
 from training.networks.actor import Activation, Actor
@@ -88,9 +89,29 @@ class Policy(Controller):
         self._checked = robot
 
     def act(self, state: State, target: Target, time: Array) -> Array:
-        observation = torch.as_tensor(observe(state, target.position), dtype=torch.float32)
+        return self._commands(observe(state, target.position))
+
+    def __call__(self, observation: ArrayLike) -> Array:
+        """Return the commands for one observation, or for many, without any environment.
+
+        Args:
+            observation: eq. (1), see :mod:`cdcsr.tasks.observation`; shape (size,) or (num, size).
+
+        Returns:
+            Servo set-points, shape (C,) or (num, C), in [m].
+
+        Raises:
+            CdcsrError: the observation has another shape, or a number in it is not finite.
+        """
+        size = observation_size(self.robot)
+        seen = as_floats("observation", observation, (*np.shape(observation)[:-1][:1], size))
+        return self._commands(np.atleast_2d(seen)).reshape(*seen.shape[:-1], -1)
+
+    def _commands(self, observations: Array) -> Array:
+        """Return the commands for observations of shape (num, size)."""
         with torch.no_grad():
-            return self.actor.command(observation).numpy().astype(np.float64)
+            seen = torch.as_tensor(observations, dtype=torch.float32)
+            return self.actor.command(seen).numpy().astype(np.float64)
 
     def on(self, plant: Robot) -> Policy:
         """Return a copy of this policy that also acts on one plant with other numbers.

@@ -17,6 +17,8 @@ from cdcsr import cli
 from cdcsr.envs.gym_env import TaskVectorEnv
 from cdcsr.errors import CdcsrError
 from cdcsr.robot.description import load_robot
+from cdcsr.simulation.engines import make_simulation
+from cdcsr.tasks.observation import parts_of
 from controllers import stable_baselines
 from controllers.rollout import rollout
 from controllers.stable_baselines import StableBaselines
@@ -91,14 +93,18 @@ def test_a_bomb_is_not_opened(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -
 def test_the_snippets_of_the_page_run(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    own, training, wrapped = re.findall(r"```python\n(.*?)```", PAGE.read_text("utf-8"), re.DOTALL)
+    own, training, wrapped, hindsight, loop = re.findall(
+        r"```python\n(.*?)```", PAGE.read_text("utf-8"), re.DOTALL
+    )
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr(sys, "path", sys.path.copy())
-    monkeypatch.setattr(sb3.SAC, "learn", lambda self, steps: self)  # noqa: ARG005
+    for learner in (sb3.SAC, sb3.TD3):
+        monkeypatch.setattr(learner, "learn", lambda self, steps: self)  # noqa: ARG005
     (tmp_path / "page_for_test.py").write_text(own)
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
         exec(training, {})
+        exec(hindsight, {})
     (tmp_path / "wrapped_for_test.py").write_text(wrapped)
     few = ["--episodes", "1", "--space", "anchor", "--backend", "mujoco"]
     assert cli.main(["transfer", "jacobian", "page_for_test:Pull", "mine.zip", *few]) == 0
@@ -106,3 +112,24 @@ def test_the_snippets_of_the_page_run(
     shown = capsys.readouterr().out
     for name in ("jacobian", "Pull", "mine"):
         assert f"| {name} " in shown
+    assert StableBaselines("hindsight.zip").name == "hindsight"
+    assert least_distance(loop) < 0.03
+
+
+def least_distance(loop: str) -> float:
+    """Run the page's own loop on a simulation, and return how near its target the tip comes."""
+    simulation, target = make_simulation(load_robot("paper"), "mujoco"), np.array([0.2, 0.1, 2.4])
+    found: list[float] = []
+
+    def measure() -> tuple[np.ndarray, ...]:
+        state = simulation.state()
+        parts = [part[0] for part in parts_of(state, target[None], np.zeros(1)).values()]
+        return parts[0], parts[1], np.concatenate(parts[4:8]), parts[8]
+
+    def send(command: np.ndarray) -> None:
+        simulation.step(command[None])
+        found.append(float(np.linalg.norm(simulation.state().tip_position[0] - target)))
+
+    exec(loop, {"measure": measure, "send": send})
+    simulation.close()
+    return min(found)

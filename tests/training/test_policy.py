@@ -42,6 +42,21 @@ def test_loaded_policy_acts_like_the_saved(folder: Path) -> None:
     np.testing.assert_array_equal(policy.centers, np.ones((2, 3)))
 
 
+def test_a_policy_takes_one_observation_or_many(folder: Path) -> None:
+    """Its commands are those of the trained network; a mistake is one line."""
+    policy, size = load_policy(folder), observation_size(load_robot("planar-single"))
+    many = np.random.default_rng(0).normal(size=(5, size))
+    expected = policy.actor.command(torch.as_tensor(many, dtype=torch.float32)).numpy()
+    np.testing.assert_allclose(policy(many), expected, rtol=1e-6)
+    assert policy(many[2]).shape == (policy.robot.num_cables,)
+    np.testing.assert_allclose(policy(many[2].tolist()), expected[2], rtol=1e-5)
+    for wrong in (many[:, :-1], many[None], 1.0):
+        with pytest.raises(CdcsrError, match="observation must have the shape"):
+            policy(wrong)
+    with pytest.raises(CdcsrError, match="observation must be finite"):
+        policy(np.full(size, np.nan))
+
+
 def test_a_policy_knows_its_start_and_older_ones_began_still(folder: Path) -> None:
     assert load_policy(folder).start == "still"
     _edit("start", "moving")(folder)
