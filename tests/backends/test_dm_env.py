@@ -3,6 +3,7 @@ the viewer needs."""
 
 from __future__ import annotations
 
+import itertools
 import unittest
 from collections.abc import Generator, Iterator
 from typing import Any
@@ -18,14 +19,19 @@ from cdcsr.envs.single_env import TaskEnv
 from cdcsr.errors import CdcsrError
 from cdcsr.robot.description import load_robot
 from cdcsr.simulation.contract import Array
+from cdcsr.simulation.engines import backend_names
 from cdcsr.tasks.catalogue import TASKS
 
+_SMALL, _SAMPLE = "planar-single", ("capture-tumble", "pybullet")
 
-class Conformance(test_utils.EnvironmentTestMixin):
+
+class Conformance(test_utils.EnvironmentTestMixin, unittest.TestCase):
+    __test__ = False
+    task: str
     backend: str
 
     def make_object_under_test(self, **_: object) -> control.Environment:
-        return make_dm_environment(backend=self.backend, max_steps=10)
+        return make_dm_environment(self.task, _SMALL, self.backend, max_steps=10)
 
     def make_action_sequence(self) -> Generator[Any, Any, None]:  # the type of the base class
         """Act over the end of one episode and into the next."""
@@ -33,12 +39,19 @@ class Conformance(test_utils.EnvironmentTestMixin):
             yield self.make_action()
 
 
-class MujocoConformanceTest(Conformance, unittest.TestCase):
-    backend = "mujoco"
-
-
-class PybulletConformanceTest(Conformance, unittest.TestCase):
-    backend = "pybullet"
+@pytest.mark.parametrize(
+    ("task", "backend"),
+    [
+        pytest.param(*case, marks=[] if "mujoco" in case or case == _SAMPLE else [pytest.mark.slow])
+        for case in itertools.product(TASKS, backend_names())
+    ],
+)
+def test_every_task_passes_the_suite_of_dm_env(task: str, backend: str) -> None:
+    case = type("Case", (Conformance,), {"task": task, "backend": backend})
+    result = unittest.TestResult()
+    unittest.defaultTestLoader.loadTestsFromTestCase(case).run(result)
+    assert result.testsRun >= 4
+    assert [text for _, text in (*result.errors, *result.failures)] == []
 
 
 def joined(step: TimeStep) -> Array:
