@@ -13,7 +13,7 @@ from collections.abc import Mapping
 import mujoco
 import numpy as np
 
-from cdcsr.robot.colors import CABLE, HULL, METAL, TIP, Color, segment_color, share
+from cdcsr.robot.colors import BACKGROUND, CABLE, HULL, METAL, TIP, Color, segment_color, share
 from cdcsr.robot.description import Robot
 from cdcsr.robot.meshes import link_parts
 from cdcsr.robot.parts import Joint, Link
@@ -293,3 +293,13 @@ def _add_scenery(spec: mujoco.MjSpec, robot: Robot) -> None:
         type=mujoco.mjtLightType.mjLIGHT_DIRECTIONAL,
     )
     spec.visual.headlight.ambient = [0.4, 0.4, 0.4]
+    background = [part / 255 for part in BACKGROUND]
+    spec.add_texture(
+        name="background",
+        type=mujoco.mjtTexture.mjTEXTURE_SKYBOX,
+        builtin=mujoco.mjtBuiltin.mjBUILTIN_FLAT,
+        rgb1=background,
+        rgb2=background,  # of the lower half
+        width=8,
+        height=48,
+    )

@@ -8,6 +8,7 @@ import pytest
 
 from backends.mujoco.model import build_spec
 from backends.mujoco.model_choices import Choice, cheapest, model_choices
+from cdcsr.robot.colors import BACKGROUND
 from cdcsr.robot.description import Robot
 from cdcsr.simulation.rotations import rotation_matrix
 from tests.support.physics import described_bodies
@@ -92,3 +93,11 @@ def test_cheapest_is_among_the_faithful() -> None:
     choices.append(Choice("lost", 9, 0.1, np.nan, True))
     assert cheapest(choices).name == "ours"
     assert cheapest([*choices, Choice("better", 40, 0.8, 0.01, True)]).name == "better"
+
+
+def test_the_background_is_that_of_all_pictures(paper: Robot) -> None:
+    model = build_spec(paper).compile()
+    (texture,) = range(model.ntex)
+    assert model.tex_type[texture] == mujoco.mjtTexture.mjTEXTURE_SKYBOX
+    colors = model.tex_data[: model.tex_height[0] * model.tex_width[0] * 3].reshape(-1, 3)
+    assert np.abs(colors.astype(int) - BACKGROUND).max() <= 1  # rounded
