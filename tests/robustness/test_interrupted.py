@@ -16,7 +16,7 @@ import torch
 
 from backends.cosserat import statics
 from backends.parity import report as parity_report
-from cdcsr.files import read_json
+from cdcsr.files import finish_together, read_json
 from cdcsr.robot.description import load_robot
 from cdcsr.tasks.workspace_map import Workspace
 from controllers import workspace as mapping
@@ -115,6 +115,7 @@ def _pack(folder: Path) -> None:
 
 
 def _packed(folder: Path) -> object:
+    finish_together(folder / "out")  # as whoever reads a store does
     return {path.name: path.read_bytes() for path in (folder / "out").iterdir()}
 
 
