@@ -46,12 +46,13 @@ _DPI = 160
 def drawn(
     path: Path, size: tuple[float, float], layout: Literal["constrained"] | None = None
 ) -> Iterator[Figure]:
-    """Yield an empty figure, and write it as a PNG when the block ends.
+    """Yield an empty figure, and write it as a PNG or, if the path ends so, a PDF when the block
+    ends.
 
     The figure belongs to no window and to no global state, so no display is needed.
 
     Args:
-        path: the PNG to write.
+        path: the file to write.
         size: width and height in inches, before the margins are cut.
         layout: Matplotlib's layout engine; "constrained" suits grids of panels.
 
@@ -62,8 +63,10 @@ def drawn(
         figure = Figure(figsize=size, layout=layout)
         yield figure
         data = io.BytesIO()
-        figure.savefig(data, format="png", dpi=_DPI, bbox_inches="tight", pad_inches=0.08)
-    write_bytes(path, _with_palette(data))
+        pdf = path.suffix == ".pdf"
+        kind = "pdf" if pdf else "png"
+        figure.savefig(data, format=kind, dpi=_DPI, bbox_inches="tight", pad_inches=0.08)
+    write_bytes(path, data.getvalue() if pdf else _with_palette(data))
 
 
 def _with_palette(png: io.BytesIO) -> bytes:

@@ -108,6 +108,7 @@ WORKING = {
     "validate": "cosserat none",
     "doctor": "",
     "export": "nobody --out new.onnx",
+    "plot": "matrix full --out new.png",
     "film": "jacobian --out new.gif --robot planar-single --width 32 --seconds 0.01 --targets 1",
     "demo": "--out new --minutes 1",
     "bench": "none",
