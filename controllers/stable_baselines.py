@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 Array = NDArray[np.float64]
 
 _NO_BUFFER = {"buffer_size": 1, "replay_buffer_class": None, "replay_buffer_kwargs": {}}
-"""What only training needs; a buffer of hindsight would ask for an environment."""
+"""Only training needs these; a buffer of hindsight would ask for an environment."""
 
 
 class StableBaselines(Controller):

@@ -43,17 +43,16 @@ Ids = Sequence[int] | NDArray[np.integer] | NDArray[np.bool_] | None
 class Simulation(ABC):
     """`num` copies of a robot in one engine; they start still, with hinges at their rest angles.
 
+    Commands are servo set-points, shape (num, C), in [-eta, 0] m. Engines do not clip them. After
+    `close()` all else raises :class:`CdcsrError`. What `copy` and `pickle` make is its own. Several
+    threads may call one simulation; calls wait for each other.
+
     Args:
         robot: the description.
         num: how many copies.
         options: how the engine steps; None for its defaults.
 
-    Commands are servo set-points, shape (num, C), in [-eta, 0] m. Engines do not clip them. After
-    `close()` all else raises :class:`CdcsrError`. What `copy` and `pickle` make is its own. Several
-    threads may call one simulation; calls wait for each other.
-
     Attributes:
-        options: how the engine steps.
         plant: the numbers that `set_parameters` changes; read them only.
         loads: what `set_loads` changes; read it only.
 
@@ -125,8 +124,7 @@ class Simulation(ABC):
     ) -> None:
         """Let a force and a torque act on a link from the next step on, until they are set again.
 
-        Neither reset nor a snapshot changes them. The vectors have the shape (3,), or (n, 3) for
-        one each of the n copies.
+        Reset and snapshots do not change them. Vectors have the shape (3,), or (n, 3) for n copies.
 
         Args:
             ids: which copies.

@@ -125,8 +125,17 @@ def test_cables_of_one_place_are_none() -> None:
         assert broken(changed(PAPER, (place, angles))) == []
 
 
+def test_a_slider_lies_below_its_guide_by_more_than_its_radius() -> None:
+    place: Place = ("segments", 0, "servo", "offset")
+    assert broken(changed(PAPER, (place, 0.0101))) == []
+    for inside in (0.01, 0.004):
+        (one,) = broken(changed(PAPER, (place, inside)))
+        assert one[0] == place
+        assert one[1].endswith("must be above its radius (0.01 m)")
+
+
 def test_a_guide_lies_within_each_link_that_its_cable_passes() -> None:
-    """Of a rod in six cells of 0.2 m the last link is half a cell, which has two guides."""
+    """The last link of a rod in six cells of 0.2 m is half a cell, which has two guides."""
     second: Place = ("segments", 1, "cables", "guide_offset")
     assert broken(changed(PAPER, (second, 0.0999))) == []
     (one,) = broken(changed(PAPER, (second, 0.1)))

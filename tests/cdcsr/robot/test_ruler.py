@@ -69,6 +69,8 @@ def test_a_similar_robot_has_similar_tasks() -> None:
     own, task, moved = ruler(robot), make_task("capture-drift", robot), make_task("reach", robot)
     assert answer_time(robot) == pytest.approx(0.2 * answer_time(PAPER), rel=1e-2)
     assert (task.threshold, own.spatter, own.tip_speed) == (0.015, 0.075, 5.0)
+    assert (own.floating, own.spacing, own.base_shift) == (0.005, 0.025, 0.0015)
+    assert own.capture_speed == 0.25
     assert (own.frame_skip, moved.max_steps, task.max_steps) == (1, 250, 500)
     controller = JacobianController(robot)
     assert controller.gain == pytest.approx(70)

@@ -48,7 +48,7 @@ def test_bounds_are_allowed_and_what_is_beyond_is_not(
 
 
 def test_every_number_follows_its_law_of_similarity() -> None:
-    """Of an arm a quarter as long, times are halved, masses divided by 4^3, forces too."""
+    """An arm a quarter as long has half of the times, and masses and forces divided by 4^3."""
     large, small = _made(), _made(length=0.6)
 
     def check(a: float, b: float, power: float, rel: float = 2e-3) -> None:
@@ -90,11 +90,12 @@ def test_more_links_keep_the_arm_as_heavy_and_as_stiff() -> None:
     expected = (across, across, mass * radius**2 / 2)
     assert link.inertia == pytest.approx(expected, rel=1e-3)
     assert many.segments[0].cables.guide_offset == pytest.approx(0.02)
+    assert _made(length=1.0).segments[0].cables.pitch_radius == 0.008333  # it has four digits
     assert _made(links=100).segments[0].cables.guide_offset == pytest.approx(0.2 * 2.4 / 200)
 
 
 def test_cables_are_spread_evenly_over_all_segments() -> None:
-    """Of three segments with four cables, each is turned by a third of the 90 degrees between."""
+    """Each of three segments with four cables is turned by a third of the 90 degrees between."""
     robot = _made(segments=3)
     for number, segment in enumerate(robot.segments):
         expected = [30.0 * number + 90.0 * k for k in range(4)]
