@@ -148,16 +148,15 @@ def _add_arm(
     anchor."""
     guides: list[list[str]] = [[] for _ in robot.servos]
 
-    def add_guides(
-        body: mujoco.MjsBody, cables: list[int], label: str, heights: list[float]
-    ) -> None:
-        for c, z in zip(cables, heights, strict=True):
-            name = f"guide_{c}_{label}"
-            body.add_site(name=name, pos=[*route.place[c], z], size=[0.002, 0, 0])
-            guides[c].append(name)
+    def add_guides(body: mujoco.MjsBody, number: int, length: float) -> None:
+        for c, path in enumerate(route.guides):
+            for place in (guide.place for guide in path if guide.body == number):
+                side = "low" if place[2] < length / 2 else "high"
+                name = f"guide_{c}_{number - 1}_{side}" if number else f"guide_{c}_base"
+                body.add_site(name=name, pos=place, size=[0.002, 0, 0])
+                guides[c].append(name)
 
-    all_cables = list(range(robot.num_cables))
-    add_guides(base, all_cables, "base", [robot.first_joint - o for o in route.guide_offset])
+    add_guides(base, 0, 0.0)
     body, joint_at = base, robot.first_joint
     for j, ((link, joint), part) in enumerate(zip(robot.links, link_parts(robot), strict=True)):
         body = _add_link(body, link, joint, j, joint_at)
@@ -170,11 +169,7 @@ def _add_arm(
             segment_color(int(part.split("_")[1])),
             (0, 0, link.length / 2),
         )
-        passing = [c for c in all_cables if route.joints[c] > j]
-        add_guides(body, passing, f"{j}_low", [route.guide_offset[c] for c in passing])
-        add_guides(
-            body, passing, f"{j}_high", [link.length - route.guide_offset[c] for c in passing]
-        )
+        add_guides(body, j + 1, link.length)
         joint_at = link.length
     body.add_site(name="tip", pos=[0, 0, joint_at], size=[0.01, 0, 0], rgba=share(TIP))
     return guides
@@ -225,7 +220,9 @@ def _add_cables(spec: mujoco.MjSpec, robot: Robot, route: Routing, guides: list[
         )
         if strain:  # a spring that only pulls
             tendon.stiffness, tendon.springlength = [1 / (strain * rest), 0, 0], [0, rest]
-        for site in (f"pull_{c}", *guides[c]):
+        for n, site in enumerate((f"pull_{c}", *guides[c])):
+            if n == 2 and route.first[c]:
+                tendon.wrap_pulley(1.0)  # the sheath between them keeps its length
             tendon.wrap_site(site)
         spec.add_equality(
             name=f"held_{c}",

@@ -51,13 +51,16 @@ def drive(folder: Path, steps: int, setpoints: list[float]) -> np.ndarray:
         p.setJointMotorControlArray(robot, numbers, p.TORQUE_CONTROL, forces=force)
         for c, cable in enumerate(cables):
             path = origin[owner[c]] + np.einsum("nij,nj->ni", turn[owner[c]], points[c])
-            length = np.linalg.norm(along := np.diff(path, axis=0), axis=1)
+            along = np.diff(path, axis=0)
+            along[1] *= not cable["sheath"]  # which keeps its length
+            length = np.linalg.norm(along, axis=1)
             excess, rate = length.sum() - cable["rest_length"], (length.sum() - before[c]) / step
             before[c], stiff = length.sum(), mass[c] / step**2
             soft = cable["strain_by_tension"] * cable["rest_length"]  # of an elastic cable, [m/N]
             elastic, damper = min(stiff / 4, 1 / soft if soft else np.inf), 0 if soft else stiff / 2
             tension = max(0, elastic * excess + damper * step * rate) * (excess > 0)
-            pulls = tension * np.diff(along / length[:, None], axis=0, prepend=0, append=0)
+            along /= np.maximum(length, 1e-12)[:, None]
+            pulls = tension * np.diff(along, axis=0, prepend=0, append=0)
             for body, pull, point in zip(owner[c], pulls, path, strict=True):
                 p.applyExternalForce(robot, body, pull, point, p.WORLD_FRAME)
         p.stepSimulation()

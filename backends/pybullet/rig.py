@@ -20,8 +20,9 @@ _crossing = compiled()(crossing)
 class Rig(NamedTuple):
     """The cables and hinges of a robot as plain arrays; C cables, J joints, H hinges."""
 
-    universal: bool
-    """Whether every joint bends about x, then about y, and does not twist."""
+    plain: bool
+    """Whether every joint bends about x, then about y, and does not twist, and all cables run
+    straight along the arm."""
     hinges: NDArray[np.int64]
     """The numbers of each joint's hinges, the lowest first, shape (J, 3); -1 is no hinge."""
     axes: NDArray[np.int64]
@@ -31,7 +32,17 @@ class Rig(NamedTuple):
     guide_offset: Array
     """Shape (C,), in [m]."""
     joints: NDArray[np.int64]
-    """How many joints each cable crosses, shape (C,)."""
+    """One more than the last joint that each cable crosses, shape (C,)."""
+    universal: bool
+    """Whether every joint bends about x, then about y, and does not twist."""
+    first: NDArray[np.int64]
+    """The first joint that each cable crosses, shape (C,)."""
+    low: Array
+    """The guides just below the joints, shape (C, J, 3), in [m]."""
+    high: Array
+    """The guides just above the joints, shape (C, J, 3), in [m]."""
+    chord: Array
+    """Their distance while the joint is straight, shape (C, J), in [m]."""
     slider_offset: Array
     """Shape (C,), in [m]."""
     slider_mass: Array
@@ -58,7 +69,12 @@ def rig(robot: Robot) -> Rig:
     """Return the numbers of a robot that its tensions depend on and that no copy changes."""
     route, leaders = routing(robot), np.array(robot.leaders)
     return Rig(
+        plain=route.is_universal and route.parallel,
         universal=route.is_universal,
+        first=route.first,
+        low=route.low,
+        high=route.high,
+        chord=route.chord,
         hinges=route.hinges,
         axes=route.axes,
         place=route.place,
@@ -93,11 +109,10 @@ def cable_rows(rig: Rig, travel: Array, hinges: Array, jacobian: Array) -> Array
         below = rig.slider_offset[c] - travel[c]
         jacobian[c, c] = -np.sign(below)
         total = abs(below) - rig.slider_offset[c] - rig.bent[c]
-        for n in range(rig.joints[c]):
-            if not rig.universal:
-                low, high = np.array([px, py, -offset]), np.array([px, py, offset])
-                row = jacobian[c, travel.size :]
-                total += _any_crossing(rig, n, sine, cosine, low, high, row) - 2 * offset
+        for n in range(rig.first[c], rig.joints[c]):
+            if not rig.plain:
+                row, low, high = jacobian[c, travel.size :], rig.low[c, n], rig.high[c, n]
+                total += _any_crossing(rig, n, sine, cosine, low, high, row) - rig.chord[c, n]
                 continue
             x, y = 2 * n, 2 * n + 1
             length, by_x, by_y = _crossing(sine[x], cosine[x], sine[y], cosine[y], px, py, offset)

@@ -166,22 +166,21 @@ def cable_file(robot: Robot) -> dict[str, object]:
     hinge follows which, the tip, gravity, and where the base starts.
 
     Links and joints have the URDF's names. The guides of a cable are in order from the base to its
-    anchor, each with its place in its link's frame; lengths are in [m].
+    anchor, each with its place in its link's frame; a sheath, which keeps its length, may lead it
+    from the first to the second. Lengths are in [m].
     """
     route, names = routing(robot), joint_names(robot)
     cables = []
     for c, servo in enumerate(robot.servos):
-        px, py, offset = (*map(float, route.place[c]), float(route.guide_offset[c]))
-        guides: list[tuple[str, list[float]]] = [("base", [px, py, robot.first_joint - offset])]
-        for j in range(route.joints[c]):
-            guides += [
-                (f"link_{j}", [px, py, z]) for z in (offset, robot.links[j][0].length - offset)
-            ]
         cables.append(
             {
                 "name": f"cable_{c}",
                 "slider_joint": names[c],
-                "guides": [{"link": body, "xyz": xyz} for body, xyz in guides],
+                "guides": [
+                    {"link": f"link_{guide.body - 1}" if guide.body else "base", "xyz": guide.place}
+                    for guide in route.guides[c]
+                ],
+                "sheath": bool(route.first[c]),
                 "rest_length": float(route.rest_length[c]),
                 "strain_by_tension": robot.strain_by_tension[c],
                 "servo": {"gain": servo.gain, "damping": servo.damping, "eta": servo.eta},

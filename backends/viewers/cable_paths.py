@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from itertools import pairwise
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -31,19 +33,20 @@ class CablePaths:
     def __init__(self, robot: Robot) -> None:
         self._route = route = routing(robot)
         self._first_joint = robot.first_joint
-        ends = [
-            [(c, n, n, -1.0), (c, n + 1, n, 1.0), (c, n + 1, n + 1, -1.0)]
-            for c, joints in enumerate(route.joints)
-            for n in range(joints)
+        # Each end of a run is a guide; a sheath is not drawn.
+        runs = [
+            (c, *run)
+            for c, guides in enumerate(route.guides)
+            for run in list(pairwise(guides))[int(route.first[c] > 0) :]
         ]
-        runs = [run for low, high, end in ends for run in ((low, high), (high, end))]
-        # Each end is a guide: its cable, its body, the joint next to it, and on which side of it.
-        cable, body, joint, side = np.array(runs, dtype=float).reshape(-1, 2, 4).transpose(2, 0, 1)
-        self.cable = cable[:, 0].astype(np.int64)
-        self._body, self._joint = body.astype(np.int64), joint.astype(np.int64)
-        place = route.place[cable.astype(np.int64)]
-        height = side * route.guide_offset[cable.astype(np.int64)]
-        self._local = np.concatenate([place, height[..., None]], axis=-1)
+        self.cable = np.array([c for c, _, _ in runs], dtype=np.int64)
+        ends = [(low, high) for _, low, high in runs]
+        bodies = [[guide.body for guide in pair] for pair in ends]
+        self._body = np.array(bodies, dtype=np.int64).reshape(-1, 2)
+        self._joint = np.maximum(self._body - 1, 0)
+        local = [[guide.place for guide in pair] for pair in ends]
+        self._local = np.array(local, dtype=float).reshape(-1, 2, 3)
+        self._local[self._body == 0, 2] -= robot.first_joint
         self._pieces_of = np.bincount(self.cable, minlength=len(route.joints))
 
     def pieces(self, poses: Poses) -> Array:

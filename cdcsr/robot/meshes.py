@@ -5,6 +5,7 @@ Masses, inertias and routing do not come from the meshes but from the descriptio
 
 from __future__ import annotations
 
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
@@ -19,7 +20,7 @@ from cdcsr.errors import CdcsrError
 from cdcsr.robot.colors import HULL, METAL, PANEL, segment_color
 from cdcsr.robot.description import Robot
 from cdcsr.robot.parts import Link
-from cdcsr.robot.routing import routing
+from cdcsr.robot.routing import Routing, routing
 
 _SECTIONS = 32
 
@@ -108,10 +109,36 @@ def export_glb(robot: Robot, path: Path) -> None:
         x, y = route.place[c]
         low = robot.first_joint - route.guide_offset[c] - route.slider_offset[c]
         # At rest the slider and the guides are in line, so the cable is drawn straight.
-        line = trimesh.creation.cylinder(0.0012, height=route.rest_length[c], sections=8)
         place(f"slider_{s}", f"slider{c}", (x, y, low))
+        line = _cable(robot, route, c, low)
         place(_coloured(line, METAL), f"cable{c}", (x, y, low + route.rest_length[c] / 2))
     files.write_bytes(path, gltf.export_glb(scene))
+
+
+def _cable(robot: Robot, route: Routing, c: int, slider: float) -> trimesh.Trimesh:
+    """Return cable `c` of the straight robot, as seen from the middle of its straight length.
+
+    Args:
+        robot: the description.
+        route: its routing.
+        c: the cable.
+        slider: the height of its slider, in [m].
+    """
+    (x, y), length = route.place[c], route.rest_length[c]
+    if route.parallel:
+        return trimesh.creation.cylinder(0.0012, height=length, sections=8)
+    heights = robot.first_joint + np.cumsum([0.0, *(link.length for link, _ in robot.links)])
+    feet = [0.0, *heights[:-1]]
+    points = [np.array([x, y, slider])]
+    points += [np.add(guide.place, (0, 0, feet[guide.body])) for guide in route.guides[c]]
+    pieces = list(pairwise(points))
+    lines = [
+        trimesh.creation.cylinder(0.0012, segment=np.array(piece), sections=8)
+        for n, piece in enumerate(pieces)
+        if n != 1 or not route.first[c]  # a sheath is not drawn
+    ]
+    whole = sum(lines[1:], start=lines[0])
+    return whole.apply_translation((-x, -y, -slider - length / 2))
 
 
 def _base(robot: Robot) -> trimesh.Trimesh:
@@ -146,7 +173,7 @@ def _link(robot: Robot, link: Link, s: int) -> trimesh.Trimesh:
     """Return a link of segment `s`: a backbone with a ball at its joint and a disc at each guide of
     a passing cable."""
     passing = [segment.cables for segment in robot.segments[s:] if segment.cable_angles]
-    pitch = max((cables.pitch_radius for cables in passing), default=link.radius)
+    pitch = max((cables.widest for cables in passing), default=link.radius)
     backbone, disc = 0.45 * min(pitch, link.radius), 1.6 * pitch
     if robot.segments[s].backbone is not None:
         backbone = link.radius

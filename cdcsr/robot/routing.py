@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cdcsr.robot.description import Robot
+from cdcsr.robot.segments import Path, Segment
 
 Array = NDArray[np.float64]
 
@@ -45,6 +46,15 @@ def crossing(
     return length, by_x, by_y
 
 
+class Guide(NamedTuple):
+    """A guide of a cable."""
+
+    body: int
+    """0 is the base, j + 1 the link j."""
+    place: tuple[float, float, float]
+    """In the frame of the base or of the link, in [m]."""
+
+
 class Routing(NamedTuple):
     """The paths of the cables as plain arrays; C cables."""
 
@@ -53,7 +63,7 @@ class Routing(NamedTuple):
     guide_offset: Array
     """Distance of the guides from the joints, shape (C,), in [m]."""
     joints: NDArray[np.int64]
-    """How many joints each cable crosses, counted from the base, shape (C,)."""
+    """One more than the last joint that each cable crosses, shape (C,)."""
     slider_offset: Array
     """Distance of the slider below the first guide at rest, shape (C,), in [m]."""
     rest_length: Array
@@ -65,6 +75,19 @@ class Routing(NamedTuple):
     """The numbers of each joint's hinges, the lowest first, shape (J, 3); -1 is no hinge."""
     axes: NDArray[np.int64]
     """The axis of each of these hinges: 0, 1, 2 for x, y, z; shape (J, 3)."""
+    first: NDArray[np.int64]
+    """The first joint that each cable crosses, shape (C,)."""
+    low: Array
+    """The guide just below each joint, in the lower link's frame there, (C, J, 3), in [m]."""
+    high: Array
+    """The guide just above each joint, in the upper link's frame, (C, J, 3), in [m]."""
+    chord: Array
+    """The distance between these two while the joint is straight, shape (C, J), in [m]."""
+    guides: tuple[tuple[Guide, ...], ...]
+    """The guides of each cable from the base to its anchor. Where the first joint that a cable
+    crosses is not the arm's first, a sheath leads it from the first guide to the second."""
+    parallel: bool
+    """Whether all cables run straight along the arm, from the base on."""
 
     @property
     def is_universal(self) -> bool:
@@ -74,39 +97,107 @@ class Routing(NamedTuple):
 
 def routing(robot: Robot) -> Routing:
     """Return the routing of every cable, segment by segment in the order of the description."""
-    place, offset, joints, slider, rest = [], [], [], [], []
-    crossed, links = 0, robot.links
+    runs: list[_Run] = []
+    crossed, links = 0, [link.length for link, _ in robot.links]
     for segment in robot.segments:
         crossed += segment.links
-        straight = sum(link.length for link, _ in links[:crossed])
-        for angle in np.deg2rad(segment.cable_angles):
-            place.append(segment.cables.pitch_radius * np.array([np.cos(angle), np.sin(angle)]))
-            offset.append(segment.cables.guide_offset)
-            joints.append(crossed)
-            slider.append(segment.servo.offset)
-            # From the slider up to the first guide, into the arm, and up to the anchor's guide.
-            rest.append(segment.servo.offset + straight)
+        if segment.cable_angles:
+            runs += [
+                _run(robot.first_joint, links, segment, way, crossed) for way in segment.cables.ways
+            ]
     hinges, axes = np.full((2, len(links), 3), -1)
     count = 0
-    for j, (_, joint) in enumerate(links):
+    for j, (_, joint) in enumerate(robot.links):
         for k, hinge in enumerate(joint.hinges):
             hinges[j, k], axes[j, k] = count, "xyz".index(hinge.axis)
             count += 1
+    size = len(runs), len(links)
     route = Routing(
-        np.array(place, dtype=float).reshape(-1, 2),
-        np.array(offset, dtype=float),
-        np.array(joints, dtype=np.int64),
-        np.array(slider, dtype=float),
-        np.array(rest, dtype=float),
-        np.zeros(len(rest)),
-        hinges,
-        axes,
+        place=np.array([run.place for run in runs], dtype=float).reshape(-1, 2),
+        guide_offset=np.array([run.guide_offset for run in runs], dtype=float),
+        joints=np.array([run.end for run in runs], dtype=np.int64),
+        slider_offset=np.array([run.slider_offset for run in runs], dtype=float),
+        rest_length=np.array([run.length for run in runs], dtype=float),
+        bent=np.zeros(len(runs)),
+        hinges=hinges,
+        axes=axes,
+        first=np.array([run.first for run in runs], dtype=np.int64),
+        low=np.array([run.low for run in runs], dtype=float).reshape(*size, 3),
+        high=np.array([run.high for run in runs], dtype=float).reshape(*size, 3),
+        chord=np.array([run.chord for run in runs], dtype=float).reshape(size),
+        guides=tuple(run.guides for run in runs),
+        parallel=all(run.parallel for run in runs),
     )
     start = np.array(robot.start_angles)
     if not start.any():
         return route
-    bent = cable_lengths(route, np.zeros(len(rest)), start) - route.rest_length
+    bent = cable_lengths(route, np.zeros(len(runs)), start) - route.rest_length
     return route._replace(rest_length=route.rest_length + bent, bent=bent)
+
+
+class _Run(NamedTuple):
+    """One cable; the fields are rows of :class:`Routing`."""
+
+    place: Array
+    guide_offset: float
+    first: int
+    end: int
+    slider_offset: float
+    length: float
+    low: Array
+    high: Array
+    chord: Array
+    guides: tuple[Guide, ...]
+    parallel: bool
+
+
+def _run(first_joint: float, links: list[float], segment: Segment, way: Path, end: int) -> _Run:
+    """Lay one cable along the straight arm.
+
+    Args:
+        first_joint: its height in the base's frame, in [m].
+        links: their lengths, in [m].
+        segment: the cable's.
+        way: the cable's.
+        end: how many links the arm has up to the end of the segment.
+    """
+    near = segment.cables.pitch_radius if way.pitch_radius is None else way.pitch_radius
+    far = near if way.end_pitch_radius is None else way.end_pitch_radius
+    end = end if way.last_link is None else way.last_link + 1
+    o, joints = segment.cables.guide_offset, np.cumsum([0.0, *links])
+    angle, bottom = np.deg2rad(way.angle_deg), joints[way.first_link] - o
+    place = near * np.array([np.cos(angle), np.sin(angle)])
+    straight = far == near and way.twist_deg == 0
+
+    def at(height: Array) -> Array:
+        """Return x and y of the cable at heights above the first joint."""
+        if straight:
+            return np.tile(place, (len(height), 1))
+        along = (height - bottom) / (joints[end] - o - bottom)
+        turn, radius = angle + np.deg2rad(way.twist_deg) * along, near + (far - near) * along
+        return radius[:, None] * np.column_stack([np.cos(turn), np.sin(turn)])
+
+    below, above = at(joints - o), at(joints[:-1] + o)
+    low = np.column_stack([below[:-1], np.full(len(links), -o)])
+    high = np.column_stack([above, np.full(len(links), o)])
+    chord = np.linalg.norm(high - low, axis=1)
+    guides = [Guide(0, (float(place[0]), float(place[1]), first_joint - o))]
+    if way.first_link:
+        x, y = below[way.first_link].tolist()
+        guides.append(Guide(way.first_link, (x, y, links[way.first_link - 1] - o)))
+    length = segment.servo.offset
+    for j in range(way.first_link, end):
+        (x, y), (u, v) = above[j].tolist(), below[j + 1].tolist()
+        guides += [Guide(j + 1, (x, y, o)), Guide(j + 1, (u, v, links[j] - o))]
+        length += chord[j] + np.hypot(np.hypot(u - x, v - y), links[j] - 2 * o)
+    parallel = straight and way.first_link == 0
+    if parallel:
+        # From the slider up to the first guide, into the arm, and up to the anchor's guide.
+        length, chord = segment.servo.offset + sum(links[:end]), np.full(len(links), 2 * o)
+    return _Run(
+        *(place, o, way.first_link, end, segment.servo.offset, float(length)),
+        *(low, high, chord, tuple(guides), parallel),
+    )
 
 
 def cable_lengths(route: Routing, travel: Array, hinges: Array) -> Array:
@@ -121,7 +212,7 @@ def cable_lengths(route: Routing, travel: Array, hinges: Array) -> Array:
         Shape (..., C), in [m].
     """
     length, _ = _crossings(route, hinges)
-    excess = (length - 2 * route.guide_offset[:, None]).sum(axis=-1)
+    excess = (length - route.chord).sum(axis=-1)
     straight = route.rest_length - route.bent - route.slider_offset
     return straight + np.abs(route.slider_offset - travel) + excess
 
@@ -150,9 +241,10 @@ def _crossings(route: Routing, hinges: Array) -> tuple[Array, Array]:
 
     Where a cable does not cross a joint, the length is that at rest and the derivatives are zero.
     """
-    o, crossed = route.guide_offset[:, None], np.arange(len(route.axes)) < route.joints[:, None]
+    o, joint = route.guide_offset[:, None], np.arange(len(route.axes))
+    crossed = (joint < route.joints[:, None]) & (joint >= route.first[:, None])
     by_hinge = np.zeros((*hinges.shape[:-1], len(route.joints), hinges.shape[-1]))
-    if route.is_universal:
+    if route.is_universal and route.parallel:
         sin, cos = np.sin(hinges)[..., None, :], np.cos(hinges)[..., None, :]
         px, py = route.place[:, :1], route.place[:, 1:]
         length, by_x, by_y = crossing(
@@ -164,7 +256,7 @@ def _crossings(route: Routing, hinges: Array) -> tuple[Array, Array]:
         for slot in range(3):
             there = route.hinges[:, slot] >= 0
             by_hinge[..., route.hinges[there, slot]] = (by_slot[slot] * crossed)[..., there]
-    return np.where(crossed, length, 2 * o), by_hinge
+    return np.where(crossed, length, route.chord), by_hinge
 
 
 def _any_crossings(route: Routing, hinges: Array) -> tuple[Array, Array]:
@@ -183,10 +275,8 @@ def _any_crossings(route: Routing, hinges: Array) -> tuple[Array, Array]:
         axis = np.eye(3)[route.axes[:, slot]]
         axes.append(np.einsum("...ij,...j->...i", turn, axis))
         turn = turn @ _about(axis, angles[..., slot])
-    low = np.column_stack([route.place, -route.guide_offset])[:, None]
-    high = np.column_stack([route.place, route.guide_offset])[:, None]
-    above = np.einsum("...jab,cxb->...cja", turn, high)
-    along = above - low
+    above = np.einsum("...jab,cjb->...cja", turn, route.high)
+    along = above - route.low
     length = np.linalg.norm(along, axis=-1)
     moves = [np.cross(axis[..., None, :, :], above) for axis in axes]
     return length, np.array([(along * move).sum(axis=-1) / length for move in moves])

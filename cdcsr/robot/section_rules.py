@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from functools import partial
+from math import inf
 from typing import Any
 
 from pydantic_core import InitErrorDetails
@@ -15,6 +16,36 @@ from cdcsr.robot.physical_rules import (
     link_places,
     positive_number,
 )
+
+
+def _errors_of_paths(data: Any, i: int) -> Iterator[InitErrorDetails]:
+    """Yield the paths of segment `i` that run where there is no link or no base."""
+    number = partial(positive_number, data)
+    counts = [number("segments", j, "links") for j in range(len(data["segments"]))]
+    cables = data["segments"][i]["cables"]
+    paths = cables.get("paths", ()) if isinstance(cables, Mapping) else ()
+    if not isinstance(paths, list | tuple) or not all(counts):
+        return
+    links = [count or 0.0 for count in counts]
+    room = min((number("base", "size", axis) or inf) / 2 for axis in (0, 1))
+    for n in range(min(len(paths), 64)):
+        place = ("segments", i, "cables", "paths", n)
+        own = paths[n].get("last_link") if isinstance(paths[n], Mapping) else None
+        last = number(*place, "last_link") or (0 if own == 0 else sum(links[: i + 1]) - 1)
+        if last >= sum(links):
+            yield broken_rule(
+                data, (*place, "last_link"), f"must be at most {sum(links) - 1:g}, the last link"
+            )
+        if (number(*place, "first_link") or 0) > last:
+            yield broken_rule(
+                data, (*place, "first_link"), f"must be at most {last:g}, the link it ends on"
+            )
+        if (number(*place, "pitch_radius") or 0) > room:
+            yield broken_rule(
+                data,
+                (*place, "pitch_radius"),
+                f"puts a cable outside the base: must be at most {room:g} m",
+            )
 
 
 def errors_between_sections(data: Any) -> Iterator[InitErrorDetails]:
@@ -47,7 +78,8 @@ def errors_between_sections(data: Any) -> Iterator[InitErrorDetails]:
         offset = number(*place)
         if offset is None:
             continue
-        for j in range(i + 1):
+        yield from _errors_of_paths(data, i)
+        for j in range(count if number(*place[:3], "paths", 0, "last_link") else i + 1):
             lengths = [(link, number(*link, "length")) for link in link_places(data, j)]
             rod, links = number("segments", j, "backbone", "length"), number("segments", j, "links")
             short = [link for link, length in lengths if length and offset >= length / 2]

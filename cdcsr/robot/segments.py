@@ -13,12 +13,34 @@ from cdcsr.robot.parts import Backbone, Joint, Link, NonNegative, Part, Positive
 _Section = TypeVar("_Section", bound=Part)
 
 
+class Path(Part):
+    """The way of one cable along the arm. Distance from the axis and direction change linearly with
+    the height from its first guide to its anchor."""
+
+    later = ("pitch_radius", "end_pitch_radius", "twist_deg", "first_link", "last_link")
+    angle_deg: float
+    """Direction of its first guide around z, in degrees from x."""
+    pitch_radius: Positive | None = None
+    """Distance of its first guide from the axis in [m]; by default that of the segment's cables."""
+    end_pitch_radius: Positive | None = None
+    """Distance of its anchor from the axis in [m]; by default that of its first guide."""
+    twist_deg: Annotated[float, Field(ge=-36000, le=36000)] = 0.0
+    """Degrees by which it turns around the arm from its first guide to its anchor; a helix."""
+    first_link: Annotated[int, Field(ge=0)] = 0
+    """The first link whose joint it crosses, counted from 0 at the base. Below, a sheath that bends
+    with the arm leads it, and it does not act on the arm there."""
+    last_link: Annotated[int, Field(ge=0)] | None = None
+    """The link that it ends on; by default the last one of its segment."""
+
+
 class Cables(Part):
     """The cables that end at the top of one segment."""
 
-    later = ("axial_stiffness",)
+    later = ("axial_stiffness", "paths")
     angles_deg: Annotated[tuple[float, ...], Strict(False), Field(min_length=1)]
     """Direction of each cable around z, in degrees from x."""
+    paths: Annotated[tuple[Path, ...], Strict(False)] = ()
+    """In place of angles_deg: the cables one by one, where they are not straight and parallel."""
     pitch_radius: Positive
     """Distance of the cables from the arm's axis in [m]."""
     guide_offset: Positive
@@ -27,6 +49,33 @@ class Cables(Part):
     axial_stiffness: Positive | None = None
     """E A of a cable in [N]: it stretches by the tension times its rest length over E A. Without it
     cables do not stretch."""
+
+    @model_validator(mode="before")
+    @classmethod
+    def _list_angles(cls, data: object) -> object:
+        if not isinstance(data, Mapping) or "angles_deg" in data:
+            return data
+        paths = data.get("paths")
+        if not isinstance(paths, list | tuple) or not all(isinstance(p, Mapping) for p in paths):
+            return data
+        return {**data, "angles_deg": [path.get("angle_deg") for path in paths]}
+
+    @model_validator(mode="after")
+    def _fits(self) -> Self:
+        if self.paths and self.angles_deg != tuple(path.angle_deg for path in self.paths):
+            raise ValueError("angles_deg must be left out where paths list the cables")
+        return self
+
+    @property
+    def ways(self) -> tuple[Path, ...]:
+        """The way of each cable."""
+        return self.paths or tuple(Path(angle_deg=angle) for angle in self.angles_deg)
+
+    @property
+    def widest(self) -> float:
+        """The largest distance of a cable from the axis, in [m]."""
+        radii = [(way.pitch_radius, way.end_pitch_radius) for way in self.ways]
+        return max(self.pitch_radius, *(radius or 0.0 for pair in radii for radius in pair))
 
 
 class Servo(Part):

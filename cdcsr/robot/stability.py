@@ -61,7 +61,7 @@ def stable_step(robot: Robot) -> float:
     bodies = [base] + [link.inertia for link, _ in robot.links]
     passing = robot.num_cables  # a cable that is held stiffens each hinge that it passes
     pull = max((servo.gain for servo in robot.servos), default=0.0)
-    radius = max((s.cables.pitch_radius for s in robot.segments if s.cable_angles), default=0.0)
+    radius = max((s.cables.widest for s in robot.segments if s.cable_angles), default=0.0)
     for (lower, upper), (_, joint) in zip(pairwise(bodies), robot.links, strict=True):
         furthest = max(max(hinge.upper, -hinge.lower) for hinge in joint.hinges)
         tilt = sin(min(furthest, pi / 2)) ** 2

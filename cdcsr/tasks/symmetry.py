@@ -74,6 +74,8 @@ def _cables(robot: Robot, x: int, y: int) -> list[int] | None:
     for segment in robot.segments:
         if not segment.cable_angles:
             continue
+        if segment.cables.paths:
+            return None  # their images are not looked for
         angles = np.array(segment.cable_angles)
         turned = angles if x > 0 else 180 - angles
         turned = turned if y > 0 else -turned

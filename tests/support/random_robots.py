@@ -71,6 +71,23 @@ def _segments(draw: st.DrawFn, offset: float) -> dict[str, Any]:
 
 
 @st.composite
+def _paths(draw: st.DrawFn, cables: dict[str, Any]) -> dict[str, Any]:
+    """Draw the same cables, or the first one or two of them, as cones and helices."""
+    angles = cables["angles_deg"][: draw(st.sampled_from([1, 2, 6]))]
+    paths = [
+        {
+            "angle_deg": angle,
+            "end_pitch_radius": cables["pitch_radius"] * draw(between(0.5, 1)),
+            "twist_deg": draw(between(-90, 90)),
+            "first_link": draw(st.sampled_from([0, 0, 1])),
+            "last_link": draw(st.integers(1, 1)),
+        }
+        for angle in angles
+    ]
+    return {key: cables[key] for key in ("pitch_radius", "guide_offset")} | {"paths": paths}
+
+
+@st.composite
 def arms(draw: st.DrawFn) -> Robot:
     """Draw any arm: as :func:`robots`, and with a fixed or turned base, gravity, torsion, rods,
     passive segments and links of which the centre of mass lies anywhere."""
@@ -90,6 +107,8 @@ def arms(draw: st.DrawFn) -> Robot:
     for segment, own in zip(segments, ours, strict=True):
         if draw(st.integers(0, 2)):
             own |= {key: segment[key] for key in ("cables", "servo")}
+        if "cables" in own and draw(st.booleans()):
+            own |= {"cables": draw(_paths(own["cables"]))}
     tail = [draw(_segments(offset))] if draw(st.booleans()) else []
     keys = {"gravity": tuple(draw(between(-10, 10)) for _ in "xyz"), "base": base}
     return Robot.model_validate(usual | keys | {"segments": ours + tail})

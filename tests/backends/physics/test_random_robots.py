@@ -6,6 +6,7 @@ import mujoco
 import numpy as np
 import pytest
 from hypothesis import given
+from scipy.spatial.transform import Rotation
 
 from backends.mujoco.simulation import MujocoSimulation
 from cdcsr.robot.description import Robot
@@ -21,20 +22,28 @@ def guide_by_guide(robot: Robot, travel: Array, hinges: Array) -> Array:
     along the arm."""
     lengths, last = [], 0
     walked = walk(robot, hinges)
+    joints = np.cumsum([0.0] + [link.length for link, _ in robot.links])
     for segment in robot.segments:
         last += segment.links
-        for angle in np.deg2rad(segment.cable_angles):
-            cables = segment.cables
-            x, y = cables.pitch_radius * np.cos(angle), cables.pitch_radius * np.sin(angle)
-            first = robot.first_joint - cables.guide_offset
-            pulled = first - segment.servo.offset + travel[len(lengths)]
-            points = [np.array([x, y, pulled]), np.array([x, y, first])]
-            for (link, _), (place, turn) in zip(robot.links[:last], walked, strict=False):
-                points += [
-                    place + turn.apply([x, y, z])
-                    for z in (cables.guide_offset, link.length - cables.guide_offset)
-                ]
-            lengths.append(np.linalg.norm(np.diff(points, axis=0), axis=1).sum())
+        for way in segment.cables.ways if segment.cable_angles else ():
+            o, near = segment.cables.guide_offset, way.pitch_radius or segment.cables.pitch_radius
+            far, end = way.end_pitch_radius or near, last
+            end = last if way.last_link is None else way.last_link + 1
+            bottom, top = joints[way.first_link] - o, joints[end] - o
+            slack = segment.servo.offset - travel[len(lengths)]
+            length, before = abs(slack), None
+            for j in range(way.first_link - 1, end):
+                place, turn = walked[j] if j >= 0 else (np.zeros(3), Rotation.identity())
+                foot = joints[j] if j >= 0 else -robot.first_joint
+                for z in [joints[j] + o] * (j >= way.first_link) + [joints[j + 1] - o]:
+                    part = (z - bottom) / (top - bottom)
+                    angle = np.deg2rad(way.angle_deg + way.twist_deg * part)
+                    across = [np.cos(angle), np.sin(angle)]
+                    point = np.append((near + (far - near) * part) * np.array(across), z - foot)
+                    point = place + turn.apply(point)
+                    length += 0.0 if before is None else np.linalg.norm(point - before)
+                    before = point
+            lengths.append(float(length))
     return np.array(lengths)
 
 

@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import re
+
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 from cdcsr.errors import CdcsrError
 from cdcsr.robot.description import Robot, load_robot, parse_robot, shipped_robots
@@ -138,6 +141,68 @@ def test_cables_over_joints_of_any_kind_against_the_poses_of_their_guides() -> N
         change = cable_lengths(route, travel, ahead) - cable_lengths(route, travel, behind)
         column = jacobian[..., robot.num_cables + i]
         np.testing.assert_allclose(column, change / (2 * step), atol=2e-9)
+
+
+def test_one_or_two_cables_on_any_way_against_a_line_through_their_guides() -> None:
+    """A cone, a helix, and a cable in a sheath past the first two links that ends in the next
+    segment: lengths against the guides turned by plain rotations, derivatives against differences.
+    Radius and direction are linear in the height between the first guide and the anchor."""
+    data = load_robot("paper").model_dump()
+    helix = {"angle_deg": 10.0, "end_pitch_radius": 0.01, "twist_deg": 200.0}
+    led = {"angle_deg": 130.0, "first_link": 2, "last_link": 9, "twist_deg": -50.0}
+    cables = {"pitch_radius": 0.02, "guide_offset": 0.02}
+    ways = ({"paths": (helix, led)}, {"paths": ({"angle_deg": 80.0},)})
+    both = zip(data["segments"], ways, strict=True)
+    segments = [segment | {"cables": cables | way} for segment, way in both]
+    robot = Robot.model_validate(data | {"segments": segments})
+    assert parse_robot(robot.to_toml()) == robot
+    route, (travel, hinges) = routing(robot), random_state(robot, 4, (1,))
+    place, turn, frames = np.array([0, 0, robot.first_joint]), np.eye(3), []
+    for n in range(12):
+        turn = turn @ Rotation.from_euler("XY", hinges[0, 2 * n : 2 * n + 2]).as_matrix()
+        frames.append((place, turn))
+        place = place + turn @ [0, 0, 0.2]
+    base = np.array([0, 0, robot.top - 0.2]), np.eye(3)
+    spans = [(0, 6, 10, 200, 0.02, 0.01), (2, 10, 130, -50, 0.02, 0.02), (0, 12, 80, 0, 0.02, 0.02)]
+    for c, (first, end, angle, twist, near, far) in enumerate(spans):
+        points = []
+        for n in range(first - 1, end):
+            origin, axes = base if n < 0 else frames[n]
+            for z in [0.18] if n < first else [0.02, 0.18]:
+                part = (0.2 * (n - first) + z + 0.02) / (0.2 * (end - first))
+                radius, phi = near + (far - near) * part, np.deg2rad(angle + twist * part)
+                point = [radius * np.cos(phi), radius * np.sin(phi), z]
+                points.append(origin + axes @ point)
+        line = np.linalg.norm(np.diff(points, axis=0), axis=1).sum()
+        expected = 0.2 - travel[0, c] + line
+        assert cable_lengths(route, travel, hinges)[0, c] == pytest.approx(expected, rel=1e-12)
+    jacobian, step = cable_jacobian(route, travel, hinges), 1e-6
+    for i in range(24):
+        apart = step * np.eye(24)[i]
+        change = cable_lengths(route, travel, hinges + apart) - cable_lengths(
+            route, travel, hinges - apart
+        )
+        np.testing.assert_allclose(jacobian[0, :, 3 + i], change[0] / (2 * step), atol=2e-9)
+
+
+@pytest.mark.parametrize(
+    ("path", "message"),
+    [
+        ({"last_link": 12}, "paths[0].last_link: must be at most 11, the last link"),
+        ({"first_link": 6}, "paths[0].first_link: must be at most 5, the link it ends on"),
+        ({"first_link": 1, "last_link": 0}, "first_link: must be at most 0, the link it ends"),
+        ({"pitch_radius": 0.4}, "paths[0].pitch_radius: puts a cable outside the base"),
+        ({"twist_deg": 1e6}, "paths[0].twist_deg: should be less than or equal to 36000"),
+        ({"twist": 1.0}, "paths[0].twist: unknown key, did you mean 'twist_deg'?"),
+    ],
+)
+def test_impossible_ways_are_refused(path: dict[str, float], message: str) -> None:
+    keys = "".join(f", {key} = {value}" for key, value in path.items())
+    text = load_robot("paper").to_toml().replace("angles_deg = [", "unused = [", 1)
+    start, end = text.index("unused"), text.index("]", text.index("unused"))
+    listed = f"paths = [{{ angle_deg = 0.0{keys} }}, {{ angle_deg = 90.0 }}]"
+    with pytest.raises(CdcsrError, match=re.escape(message)):
+        parse_robot(text[:start] + listed + text[end + 1 :])
 
 
 def test_pulling_a_slider_lengthens_its_own_cable_and_no_other(robot: Robot) -> None:
