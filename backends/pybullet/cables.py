@@ -175,6 +175,25 @@ def _solve(
 
 
 @compiled()
+def _cable_slack(
+    rig: Rig, plant: Plant, copy: int, excess: Array, step: float, slack: Array
+) -> None:
+    """Fill in how fast each cable may get longer, in [m/s]."""
+    for c in range(excess.size):
+        gap = plant.rest_length_offset[copy, c] - excess[c]
+        springs = plant.cable_compliance[copy, c] > 0
+        slack[c] = gap / (step if gap >= 0 or springs else rig.recovery_time)
+
+
+@compiled()
+def _fill_mass(whole: Array, mass: Array, stiff: Array) -> None:
+    """Fill in M + h C, where `stiff` is the diagonal of h C for sliders and hinges."""
+    whole[: len(mass)] = mass
+    for k in range(stiff.size):
+        whole[6 + k, 6 + k] += stiff[k]
+
+
+@compiled()
 def joint_forces(
     rig: Rig,
     plant: Plant,
@@ -223,10 +242,7 @@ def joint_forces(
     rows = whole[size + 1 :, 6:]
     excess = cable_rows(rig, joints[:cables], hinges, rows)
     slack, pull = np.empty(count), np.zeros(count)
-    for c in range(cables):
-        gap = plant.rest_length_offset[copy, c] - excess[c]
-        springs = plant.cable_compliance[copy, c] > 0
-        slack[c] = gap / (step if gap >= 0 or springs else rig.recovery_time)
+    _cable_slack(rig, plant, copy, excess, step, slack)
     _limit_rows(rig, limited, joints, step, rows[cables:], slack[cables:])
     for i in range(count):
         for k in range(velocity.size):
@@ -235,12 +251,10 @@ def joint_forces(
     apart = _linkage_rows(rig, followers, hinges, velocity[cables:], step, rows[count:, cables:])
 
     stiff = step * stiff_dampers(rig, plant, copy, hinges, step)
-    whole[:size] = mass
     whole[size] = -bias
     whole[size, 6:] += force - plant.damping[copy] * velocity
     whole[size, 6 : 6 + cables] += servo
-    for k in range(stiff.size):
-        whole[6 + k, 6 + k] += stiff[k]
+    _fill_mass(whole, mass, stiff)
     pushes = rows.copy()
     inverse = factor(whole)
     white, rest = whole[size + 1 : size + 1 + count], whole[size]

@@ -1,10 +1,8 @@
 """The contract of every engine: `num` independent copies of one robot, stepped together.
 
-The first axis of every array is the copy. Generalized coordinates are always in one order: base
-linear, base angular (both in the world frame), sliders, hinges root to tip (by
-:attr:`cdcsr.robot.description.Robot.hinges`: of a universal joint x before y). In shapes, C is the
-number of cables, J that of links, H that of hinges and nv = 6 + C + H. A fixed base keeps its six
-coordinates and stays at rest in them, so that all robots have the same arrays.
+The first axis of every array is the copy. Coordinates have one order: base linear, base angular
+(both in the world frame), sliders, hinges from root to tip. In shapes, C is the number of cables, J
+that of links, H that of hinges and nv = 6 + C + H. A fixed base keeps its coordinates, at rest.
 """
 
 from __future__ import annotations
