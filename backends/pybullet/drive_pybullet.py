@@ -28,10 +28,8 @@ def drive(folder: Path, steps: int, setpoints: list[float]) -> np.ndarray:
     p.setJointMotorControlArray(robot, numbers, p.VELOCITY_CONTROL, forces=[0] * len(infos))
     slider = [names.index(cable["slider_joint"]) for cable in cables]
     for follower, leader in data["linkages"].items():
-        pair = [names.index(name) for name in (leader, follower)]
-        gear = p.createConstraint(
-            robot, pair[0], robot, pair[1], p.JOINT_GEAR, [0, 1, 0], [0, 0, 0], [0, 0, 0]
-        )
+        a, b = names.index(leader), names.index(follower)
+        gear = p.createConstraint(robot, a, robot, b, p.JOINT_GEAR, [0, 1, 0], [0] * 3, [0] * 3)
         p.changeConstraint(gear, gearRatio=-1, maxForce=1e6)
     spring = np.array([hinges[name]["stiffness"] if name in hinges else 0.0 for name in names])
     target = np.array([hinges[name]["rest"] if name in hinges else 0.0 for name in names])

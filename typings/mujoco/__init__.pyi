@@ -22,6 +22,9 @@ class _Vector:
 class _Enum:
     def __int__(self) -> int: ...
 
+class mjtBuiltin(_Enum):
+    mjBUILTIN_FLAT: ClassVar[Self]
+
 class mjtDisableBit(_Enum):
     mjDSBL_CONTACT: ClassVar[Self]
     mjDSBL_GRAVITY: ClassVar[Self]
@@ -85,6 +88,9 @@ class mjtStage(_Enum):
 
 class mjtState(_Enum):
     mjSTATE_INTEGRATION: ClassVar[Self]
+
+class mjtTexture(_Enum):
+    mjTEXTURE_SKYBOX: ClassVar[Self]
 
 class mjtTrn(_Enum):
     mjTRN_JOINT: ClassVar[Self]
@@ -267,6 +273,17 @@ class MjSpec:
     def add_key(
         self, *, name: str = ..., qpos: ArrayLike = ..., ctrl: ArrayLike = ...
     ) -> _MjsElement: ...
+    def add_texture(
+        self,
+        *,
+        name: str = ...,
+        type: mjtTexture = ...,
+        builtin: mjtBuiltin = ...,
+        rgb1: ArrayLike = ...,
+        rgb2: ArrayLike = ...,
+        width: int = ...,
+        height: int = ...,
+    ) -> _MjsElement: ...
     def tendon(self, name: str) -> MjsTendon: ...
     def delete(self, element: _MjsElement) -> None: ...
     def compile(self) -> MjModel: ...
@@ -288,8 +305,20 @@ class _NamedInModel:
     gainprm: _Floats
     biasprm: _Floats
 
+class _Camera:
+    name: str
+    xpos: _Floats
+    xmat: _Floats
+
 class MjModel:
     nv: int
+    ncam: int
+    ntex: int
+    tex_type: _Ints
+    tex_data: NDArray[np.uint8]
+    tex_height: _Ints
+    tex_width: _Ints
+    def camera(self, which: int) -> _Camera: ...
     nbody: int
     ntendon: int
     opt: MjOption
@@ -319,6 +348,7 @@ class _NamedInData:
 
 class MjData:
     model: MjModel
+    def camera(self, which: str) -> _Camera: ...
     xipos: _Floats
     xmat: _Floats
     qpos: _Floats

@@ -119,8 +119,8 @@ def test_helical_cables_twist_a_rod_as_textbooks_say(stiff_engine: str, make: Ma
 def helices(twist_deg: float) -> dict[str, object]:
     """Return the sections of three cables that turn around the arm."""
     paths = [{"angle_deg": angle, "twist_deg": twist_deg} for angle in (0.0, 120.0, 240.0)]
-    cables = {"paths": paths, "pitch_radius": 0.01, "guide_offset": 0.012}
-    return CABLES | {"cables": cables}
+    cables: dict[str, object] = {"paths": paths, "pitch_radius": 0.01, "guide_offset": 0.012}
+    return {**CABLES, "cables": cables}
 
 
 def test_gravity_acts_like_the_weight_of_every_link(engine: str, make: Make) -> None:
