@@ -323,9 +323,12 @@ _READ_FROM: dict[tuple[str, str], str] = {}
 
 
 def argument_of(robot: Robot) -> str:
-    """Return the word with which a command line names a robot, as it can be pasted: the file that
-    it was read from, or else its name."""
-    return shlex.quote(_READ_FROM.get((robot.name, robot.fingerprint), robot.name))
+    """Return the word with which a command line names a robot, as it can be pasted: its name if it
+    is a shipped one, else the file that it was read from, or again its name."""
+    key = robot.name, robot.fingerprint
+    if robot.name in shipped_robots() and load_robot(robot.name).fingerprint == robot.fingerprint:
+        return robot.name
+    return shlex.quote(_READ_FROM.get(key, robot.name))
 
 
 def shipped_robots() -> list[str]:

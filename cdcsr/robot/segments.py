@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Annotated, Literal, Self, TypeVar
 
-from pydantic import Field, Strict, model_validator
+from pydantic import Field, Strict, ValidationError, model_validator
 
 from cdcsr.errors import CdcsrError
 from cdcsr.robot.parts import Backbone, Joint, Link, NonNegative, Part, Positive
@@ -169,6 +169,8 @@ class Segment(Part):
         self._check_stretch()
         if self.taper is not None and self.own_link is None:
             raise ValueError("taper needs link; a backbone has end_radius, a chain lists its links")
+        if self.taper is not None:
+            self._check_taper()
         if self.backbone is not None:
             rest = max(abs(rate) for rate in (*self.backbone.curvature, self.backbone.twist))
             most = self.backbone.limit * self.links / self.backbone.length
@@ -200,6 +202,15 @@ class Segment(Part):
                     f"coupling needs the same rest angle in all hinges about {axis}, because they "
                     "always have the same angle"
                 )
+
+    def _check_taper(self) -> None:
+        """Check that every link is a rigid body: moments along and across an arm change
+        differently."""
+        try:
+            _ = self.pairs
+        except ValidationError as error:
+            why = error.errors()[0]["msg"].removeprefix("Value error, ")
+            raise ValueError(f"taper makes an impossible link: {why}") from None
 
     def _check_chain(self) -> None:
         if self.own_link is not None or self.backbone is not None:

@@ -135,7 +135,7 @@ def constructor_misuses() -> Iterator[Misuse]:
         "task": ["fly", ""],
         "motion": ["jump"],
         "reward": ["rich"],
-        "autoreset_mode": ["NextStep"],
+        "autoreset_mode": ["AnyStep"],
     }
     for name, values in wrong.items():
         for value in values:

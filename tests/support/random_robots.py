@@ -65,22 +65,25 @@ def _segments(draw: st.DrawFn, offset: float) -> dict[str, Any]:
         joint["torsion"] = {key: joint[key] for key in ("stiffness", "damping", "limit", "lower")}
     if draw(st.booleans()):
         links["taper"] = {"radius": draw(between(0.8, 1)), "mass": draw(between(0.5, 2))}
+        moment = links["link"]["inertia"][0]
+        links["link"]["inertia"] = (moment, moment, moment / 2)  # of a body, however thin
         return {**links, "joint": joint}
     other = {"length": 1.5 * length, "joint": joint | {"order": "y", "rest": ()}}
     return {"chain": [links["link"], links["link"] | other], "joint": joint}
 
 
 @st.composite
-def _paths(draw: st.DrawFn, cables: dict[str, Any]) -> dict[str, Any]:
-    """Draw the same cables, or the first one or two of them, as cones and helices."""
+def _paths(draw: st.DrawFn, cables: dict[str, Any], last: int) -> dict[str, Any]:
+    """Draw the same cables, or the first one or two of them, as cones and helices up to link
+    `last`."""
     angles = cables["angles_deg"][: draw(st.sampled_from([1, 2, 6]))]
     paths = [
         {
             "angle_deg": angle,
             "end_pitch_radius": cables["pitch_radius"] * draw(between(0.5, 1)),
             "twist_deg": draw(between(-90, 90)),
-            "first_link": draw(st.sampled_from([0, 0, 1])),
-            "last_link": draw(st.integers(1, 1)),
+            "first_link": draw(st.integers(0, last)),
+            "last_link": last,
         }
         for angle in angles
     ]
@@ -107,9 +110,11 @@ def arms(draw: st.DrawFn) -> Robot:
     for segment, own in zip(segments, ours, strict=True):
         if draw(st.integers(0, 2)):
             own |= {key: segment[key] for key in ("cables", "servo")}
-        if "cables" in own and draw(st.booleans()):
-            own |= {"cables": draw(_paths(own["cables"]))}
     tail = [draw(_segments(offset))] if draw(st.booleans()) else []
+    total = sum(len(own.get("chain", ())) or own["links"] for own in ours + tail)
+    for own in ours:
+        if "cables" in own and draw(st.booleans()):
+            own |= {"cables": draw(_paths(own["cables"], min(1, total - 1)))}
     keys = {"gravity": tuple(draw(between(-10, 10)) for _ in "xyz"), "base": base}
     return Robot.model_validate(usual | keys | {"segments": ours + tail})
 

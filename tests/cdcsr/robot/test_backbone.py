@@ -7,6 +7,7 @@ import re
 import numpy as np
 import pytest
 import trimesh
+from pydantic import ValidationError
 
 from cdcsr.errors import CdcsrError
 from cdcsr.robot.description import Robot, load_robot, parse_robot
@@ -247,3 +248,14 @@ def test_an_arm_starts_at_its_rest_angles_and_stays_there(engine: str) -> None:
 def test_impossible_chains_are_refused(old: str, new: str, message: str) -> None:
     with pytest.raises(CdcsrError, match=re.escape(message)):
         parse_robot(CHAIN.replace(old, new, 1))
+
+
+def test_a_taper_that_leaves_no_rigid_body_is_refused_when_it_is_read() -> None:
+    """The moment along the arm falls with the radius squared, those across do not: 0.003 is more
+    than 0.0017 + 0.64 x 0.0014."""
+    data = load_robot("planar-single").model_dump()
+    data["segments"][0]["link"]["inertia"] = (0.003, 0.0017, 0.0014)
+    Robot.model_validate(data)
+    data["segments"][0]["taper"] = {"radius": 0.8}
+    with pytest.raises(ValidationError, match="taper makes an impossible link: no rigid body"):
+        Robot.model_validate(data)
