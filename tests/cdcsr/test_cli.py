@@ -275,6 +275,7 @@ def test_every_signal_that_ends_a_command_cleans_up(tmp_path: Path, number: sign
         "import signal, sys, time; from pathlib import Path; from cdcsr import cli; "
         "from cdcsr.folders import new_folder\n"
         "signal.signal(signal.SIGINT, signal.default_int_handler)\n"
+        "signal.signal(signal.SIGHUP, signal.SIG_DFL)\n"  # nohup ignores it in all that it starts
         "def work(out: Path, /) -> None:\n"
         "    with new_folder(out, 'models', False) as folder:\n"
         "        (folder / 'half').touch(); print('ready', flush=True); time.sleep(60)\n"
