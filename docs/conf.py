@@ -56,7 +56,7 @@ MODULES = (
     "training.measure.evaluation",
     "training.measure.transfer_matrix",
 )
-"""What users import."""
+"""The modules that users import."""
 HERE = Path(__file__).parent
 
 

@@ -8,7 +8,7 @@ from functools import cache
 from pathlib import Path
 
 ROOT = Path(__file__).parents[1]
-FOLDERS = ("cdcsr", "backends", "controllers", "training", "models", "tests")
+FOLDERS = ("cdcsr", "backends", "controllers", "training", "models", "tests", "docs", "examples")
 KINDS = (ast.FunctionDef, ast.AsyncFunctionDef, ast.Expr, ast.Name)
 MOST_ANY = 40
 """How often `Any` may stand in types outside of the tests."""

@@ -9,11 +9,14 @@ import pytest
 
 from cdcsr.errors import CdcsrError
 from cdcsr.simulation.engines import backend_names
+from training.policy import shipped_policies
 from training.study.execute import shipped as measured
 from training.study.execute.shipped import Place, measure_shipped
 from training.study.parquet import SUMS, sums
 from training.study.report.shipped_policies import shipped, write_card
 from training.study.store import SHIPPED, read_lines
+
+ROOT = Path(__file__).parents[4]
 
 
 def line(engine: str, success: str) -> dict[str, object]:
@@ -46,6 +49,16 @@ def test_card_has_the_numbers_of_its_own_policy(tmp_path: Path) -> None:
     assert text.endswith("|\n\nafter\n")
     assert "0.00" not in text
     assert "9.99" not in text
+
+
+@pytest.mark.parametrize("name", shipped_policies())
+def test_the_cards_have_the_stored_numbers(name: str, tmp_path: Path) -> None:
+    card = tmp_path / name / "README.md"
+    card.parent.mkdir()
+    before = (shipped_policies()[name] / "README.md").read_text("utf-8")
+    card.write_text(before, "utf-8")
+    write_card(card.parent, ROOT / "results")
+    assert card.read_text("utf-8") == before, "run `python -m training.experiments --shipped`"
 
 
 def test_card_without_a_table_is_refused(tmp_path: Path) -> None:
