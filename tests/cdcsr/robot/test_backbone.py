@@ -212,6 +212,17 @@ def test_links_one_by_one_have_their_own_numbers_and_joints() -> None:
     assert parse_robot(robot.to_toml()) == robot
 
 
+def test_torsion_stops_at_its_own_limits() -> None:
+    """One limit holds to both sides, unless the lower one is given."""
+    torsion = "torsion = { stiffness = 3.0, damping = 0.1, limit = 0.5 }\n"
+    both = parse_robot(CHAIN + torsion).hinges[-1]
+    one = parse_robot(CHAIN + torsion.replace(" }", ", lower = -0.2, rest = 0.3 }")).hinges[-1]
+    assert (both.axis, both.stiffness, both.lower, both.upper, both.rest) == ("z", 3, -0.5, 0.5, 0)
+    assert (one.lower, one.upper, one.rest) == (-0.2, 0.5, 0.3)
+    with pytest.raises(CdcsrError, match=r"torsion: rest must lie between -0\.2 and 0\.5 rad"):
+        parse_robot(CHAIN + torsion.replace(" }", ", lower = -0.2, rest = -0.3 }"))
+
+
 @pytest.mark.parametrize("engine", backend_names())
 def test_an_arm_starts_at_its_rest_angles_and_stays_there(engine: str) -> None:
     """Without gravity and with free servos nothing moves, because no spring pulls; pushed hard, a
@@ -248,6 +259,28 @@ def test_an_arm_starts_at_its_rest_angles_and_stays_there(engine: str) -> None:
 def test_impossible_chains_are_refused(old: str, new: str, message: str) -> None:
     with pytest.raises(CdcsrError, match=re.escape(message)):
         parse_robot(CHAIN.replace(old, new, 1))
+
+
+def test_radius_and_mass_of_a_taper_change_from_the_first_link_to_the_last() -> None:
+    """By hand, for the middle one of three links: 0.75 of the radius, 0.9 of the mass; moments
+    across go with the mass, that along it with the mass and the radius squared, 0.5625."""
+    data = load_robot("planar-single").model_dump()
+    link = {"length": 0.2, "radius": 0.02, "mass": 2.0, "inertia": (0.008, 0.006, 0.012)}
+    taper = {"radius": 0.5, "mass": 0.8}
+    (segment,) = data["segments"]
+    segment |= {"links": 3, "link": link, "taper": taper}
+    first, middle, last = (each for each, _ in Robot.model_validate(data).links)
+    assert (first.radius, first.mass, first.inertia) == (0.02, 2.0, (0.008, 0.006, 0.012))
+    assert (middle.radius, middle.mass) == pytest.approx((0.015, 1.8))
+    assert middle.inertia == pytest.approx((0.0072, 0.0054, 0.9 * 0.5625 * 0.012))
+    assert (last.radius, last.mass) == pytest.approx((0.01, 1.6))
+    assert last.inertia == pytest.approx((0.0064, 0.0048, 0.0024))
+    assert {each.length for each in (first, middle, last)} == {0.2}
+    segment |= {"taper": {"mass": 0.5}}
+    assert [each.radius for each, _ in Robot.model_validate(data).links] == [0.02] * 3
+    segment |= {"links": 1, "taper": taper}
+    ((only, _),) = Robot.model_validate(data).links
+    assert (only.radius, only.mass) == (0.02, 2.0)
 
 
 def test_a_taper_that_leaves_no_rigid_body_is_refused_when_it_is_read() -> None:

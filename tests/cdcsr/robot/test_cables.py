@@ -185,6 +185,23 @@ def test_one_or_two_cables_on_any_way_against_a_line_through_their_guides() -> N
         np.testing.assert_allclose(jacobian[0, :, 3 + i], change[0] / (2 * step), atol=2e-9)
 
 
+def test_hinges_are_numbered_from_the_base_to_the_tip() -> None:
+    """A joint may have one, two or three; only joints of two, about x and then y, are universal."""
+    data = load_robot("planar-single").model_dump()
+    (segment,) = data["segments"]
+    link, joint = segment.pop("link"), segment.pop("joint")
+    torsion = {"stiffness": 1.0, "damping": 0.1, "limit": 0.5}
+    joints = ({"order": "y"}, {"torsion": torsion}, {"order": "yx"}, {})
+    segment |= {"links": 4, "taper": None, "chain": [link | {"joint": joint | j} for j in joints]}
+    route = routing(Robot.model_validate(data))
+    assert route.hinges.tolist() == [[0, -1, -1], [1, 2, 3], [4, 5, -1], [6, 7, -1]]
+    assert route.axes[route.hinges >= 0].tolist() == [1, 0, 1, 2, 1, 0, 0, 1]
+    assert not route.is_universal
+    for chosen, universal in ((joints[1], False), (joints[2], False), (joints[3], True)):
+        segment["chain"] = 4 * [link | {"joint": joint | chosen}]
+        assert routing(Robot.model_validate(data)).is_universal == universal
+
+
 @pytest.mark.parametrize(
     ("path", "message"),
     [

@@ -187,6 +187,40 @@ def test_options_change_the_task_that_is_asked_for() -> None:
         adjusted(PAPER, "reach", [], seconds=-1.0)
     with pytest.raises(CdcsrError, match=r"choose one of them with --space \(found anchor\)"):
         adjusted(PAPER, "reach", ["anchor"], radius=0.1)
+    with pytest.raises(CdcsrError, match=r"of one space, .* \(found floating, spatter\)"):
+        adjusted(PAPER, "reach", ["floating", "spatter"], radius=0.1)
+    for wrong in (0.0, math.inf, math.nan):
+        with pytest.raises(CdcsrError, match="radius must be positive and finite"):
+            adjusted(PAPER, "reach", ["spatter"], radius=wrong)
+
+
+class _Places:
+    """A space in which a share of all targets lies at one point, and the others at another."""
+
+    name = "places"
+
+    def __init__(self, share: float, height: float, others: float = 2.0) -> None:
+        self._share, self._heights = share, (height, others)
+
+    def sample(self, rng: np.random.Generator, num: int) -> np.ndarray:
+        """Return targets above the origin, shape (num, 3), in [m]."""
+        count = round(self._share * num)
+        return np.repeat(self._heights, (count, num - count))[:, None] * [0.0, 0.0, 1.0]
+
+
+def test_how_many_targets_may_be_reached_at_once_or_out_of_reach() -> None:
+    """The tip is at z = 2.7 m and the first joint at 0.3 m, so that with a threshold of 0.03 m
+    targets from 2.67 m on are reached at once, and those beyond 2.73 m never."""
+    task = make_task("reach", PAPER)
+    check_targets(PAPER, task, _Places(0.01, 2.671))
+    check_targets(PAPER, task, _Places(0.02, 2.669))
+    check_targets(PAPER, task, _Places(0.1, 2.731))
+    check_targets(PAPER, task, _Places(1.0, 2.729), bent=True)  # a bent arm is not there
+    with pytest.raises(CdcsrError, match="2% of the targets in the space 'places' lie within"):
+        check_targets(PAPER, task, _Places(0.02, 2.671))
+    for bent in (False, True):
+        with pytest.raises(CdcsrError, match=r"11% .* are out of reach: .* the 2\.4 m that"):
+            check_targets(PAPER, task, _Places(0.11, 2.731), bent)
 
 
 @pytest.mark.parametrize("name", shipped_robots())

@@ -83,6 +83,24 @@ def test_transitions_stay_whole_while_rows_are_overwritten() -> None:
     assert {int(m) for m in replay.rows["observation"][:, 0]} <= set(range(20, 30))
 
 
+def test_the_ring_goes_on_at_its_beginning() -> None:
+    """Episodes of 3 and 2 actions fill the 7 rows; the next one overwrites the first rows, and its
+    last row begins no transition."""
+    replay = Replay(7, 2, 1, discount=0.9, return_steps=1)
+    assert (replay.rows["successor"] == -1).all()  # nothing to draw yet
+    _episode(replay, 3, success=True, mark=1)
+    assert (replay.position, replay.size) == (4, 4)
+    _episode(replay, 2, success=True, mark=2)
+    assert (replay.position, replay.size) == (0, 7)
+    _episode(replay, 1, success=True, mark=3)
+    assert (replay.position, replay.size) == (2, 7)
+    assert replay.rows["observation"][:, 0].tolist() == [3, 3, 1, 1, 2, 2, 2]
+    assert replay.rows["successor"].tolist() == [1, -1, 3, -1, 5, 6, -1]
+    _episode(replay, 6, success=False, mark=4)
+    assert (replay.position, replay.size) == (2, 7)
+    assert replay.rows["successor"].tolist() == [1, -1, 3, 4, 5, 6, 0]
+
+
 def test_transitions_are_drawn_uniformly() -> None:
     replay = Replay(10, 2, 1, discount=0.9, return_steps=1)
     _episode(replay, 5, success=True, mark=1)
