@@ -14,9 +14,9 @@ from cdcsr.robot.description import Robot, load_robot, parse_robot, shipped_robo
 from cdcsr.robot.ruler import _planar_mass, answer_time, ruler
 from cdcsr.robot.scale import Scale
 from cdcsr.simulation.engines import make_simulation
-from cdcsr.tasks.catalogue import TASKS, make_task
+from cdcsr.tasks.catalogue import TASKS, Capture, Follow, make_task
 from cdcsr.tasks.feasible import adjusted, check_targets
-from cdcsr.tasks.observation import PARTS, input_scale
+from cdcsr.tasks.observation import PARTS, error_scale, input_scale
 from cdcsr.tasks.spaces import Balls, make_space
 from controllers.jacobian import JacobianController
 
@@ -71,6 +71,12 @@ def test_a_similar_robot_has_similar_tasks() -> None:
     assert (task.threshold, own.spatter, own.tip_speed) == (0.015, 0.075, 5.0)
     assert (own.floating, own.spacing, own.base_shift) == (0.005, 0.025, 0.0015)
     assert own.capture_speed == 0.25
+    follow = make_task("follow-circle", robot)
+    assert isinstance(task, Capture)
+    assert isinstance(follow, Follow)
+    assert (task.speed, task.dwell, follow.settling) == (0.25, 0.02, 0.125)
+    assert (follow.max_steps, follow.share, follow.size, follow.pace) == (1000, 0.9, 0.5, own.pace)
+    assert error_scale(robot) == pytest.approx(0.05)
     assert (own.frame_skip, moved.max_steps, task.max_steps) == (1, 250, 500)
     controller = JacobianController(robot)
     assert controller.gain == pytest.approx(70)
@@ -84,6 +90,8 @@ def test_a_similar_robot_has_similar_tasks() -> None:
     assert scales["tip_velocity"] == pytest.approx(2.5)
     assert scales["base_angular_velocity"] == pytest.approx(0.5)
     assert scales["cable_travel"] == pytest.approx(0.015)
+    assert (scales["distance"], scales["base_position"]) == (0.15, 0.05)
+    assert (scales["base_velocity"], scales["base_quaternion"]) == (pytest.approx(0.25), 0.1)
 
 
 def test_answer_of_one_undamped_link() -> None:

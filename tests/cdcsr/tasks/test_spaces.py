@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -15,8 +16,10 @@ from cdcsr.tasks.spaces import (
     WiderTargets,
     demonstration_targets,
     make_space,
+    own_map,
     wider_targets,
 )
+from cdcsr.tasks.workspace_map import Workspace
 from tests.support.distributions import LEAST_P, is_isotropic, is_uniform
 
 PAPER = load_robot("paper")
@@ -124,6 +127,17 @@ def test_centers_are_by_default_the_demonstrations_of_seed_0(name: str) -> None:
     ours, default = make_space(name, PAPER, centers), make_space(name, PAPER)
     np.testing.assert_array_equal(default.sample(rng(3), 50), ours.sample(rng(3), 50))
     assert (demonstration_targets(PAPER, seed=1) != centers).all()
+
+
+def test_a_widened_space_keeps_its_name_and_a_given_map_is_told_by_its_digest(
+    tmp_path: Path,
+) -> None:
+    assert wider_targets(make_space("spatter", PAPER), 0.1, PAPER).name == "spatter"
+    assert own_map("anchor", PAPER) == own_map("workspace", PAPER) == {}
+    cells = np.zeros((1, 3), np.int16)
+    made = Workspace(PAPER.fingerprint, np.zeros(3), np.ones(3), cells, PAPER.to_toml())
+    made.save(tmp_path / "mine.npz")
+    assert own_map(str(tmp_path / "mine.npz"), PAPER) == {"map": made.digest}
 
 
 def test_an_unknown_space_is_an_error() -> None:

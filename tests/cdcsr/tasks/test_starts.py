@@ -13,6 +13,7 @@ from cdcsr.envs.gym_env import TaskVectorEnv
 from cdcsr.errors import CdcsrError
 from cdcsr.robot.description import Robot, load_robot
 from cdcsr.robot.routing import cable_lengths, routing
+from cdcsr.robot.ruler import ruler
 from cdcsr.simulation.contract import Array
 from cdcsr.simulation.engines import backend_names, make_simulation
 from cdcsr.simulation.randomization import Randomization
@@ -79,6 +80,34 @@ def test_bent_arms_are_states_of_the_robot(robot: Robot) -> None:
     assert np.median(np.abs(state.joint_angles).max(1)) > 0.05
     assert np.median(np.linalg.norm(state.tip_velocity, axis=1)) > 0.2
     assert np.median(state.cable_travel.min(1)) < -1e-4
+
+
+def test_a_smaller_and_faster_robot_starts_with_motions_of_its_size() -> None:
+    """A quarter of the lengths in half of the time: half the speed, twice the rate."""
+    assert (SPEED, RATE, starts.HOLD, starts.BANK) == (0.02, 0.02, 0.2, 256)  # as documented
+    scale = ruler(SMALL).scale.model_copy(update={"length": 0.6, "time": 0.180673 / 2})
+    robot = SMALL.model_copy(update={"scale": scale})
+    drawn = Starts("moving", robot).draw(np.random.default_rng(0), 5000).velocity
+    assert 0.0099 < np.linalg.norm(drawn[:, :3], axis=1).max() <= 0.01
+    assert 0.0396 < np.linalg.norm(drawn[:, 3:6], axis=1).max() <= 0.04
+
+
+def test_bent_arms_on_a_light_base_float_freely_too(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Such a base turns far, and is turned back with all that moves."""
+    monkeypatch.setattr(starts, "BANK", 32)
+    monkeypatch.setattr(starts, "_BANKS", {})
+    data = PAPER.model_dump()
+    data["base"] |= {"mass": 20.0, "inertia": (1.0, 1.1, 1.2)}
+    robot = Robot.model_validate(data)
+    position, velocity = bank(robot, 0)
+    assert position.shape == (32, robot.num_coordinates + 1)
+    with closing(make_simulation(robot, "mujoco", 32)) as simulation:
+        simulation.place(None, position, velocity)
+        mass = simulation.dynamics().mass_matrix
+    moving = np.abs(mass[:, :6] * velocity[:, None]).sum(2)
+    rest = np.abs(np.einsum("nij,nj->ni", mass[:, :6], velocity))
+    assert np.linalg.norm(velocity[:, 3:6], axis=1).max() > 1
+    assert (rest < 0.05 * moving.max()).all()
 
 
 def test_a_bank_is_determined_by_its_seed(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -106,6 +106,29 @@ def test_an_unknown_motion_is_an_error() -> None:
         make_motion("tumbel")
 
 
+def test_the_numbers_behind_the_names_of_motions() -> None:
+    """Tests of distributions read them from the classes; a task of one name must keep them."""
+    assert (Drift.speed, Line.slowest, Line.speed) == (0.1, 0.05, 0.1)  # [m/s]
+    assert (Tumble.radius, Tumble.rate) == ((0.03, 0.1), (0.2, 1.0))  # [m], [rad/s]
+    assert (Circle.radius, Circle.rate) == ((0.03, 0.06), 2.5)
+    assert (Wander.hold, Wander.acceleration, Wander.draws) == (0.25, 0.4, 16)
+    assert (Wander.spring, Wander.damper) == (2.0, 1.0)
+
+
+def test_after_the_last_acceleration_the_first_one_follows() -> None:
+    """16 of them last for 4 s."""
+    motion, num = make_motion("random"), 2
+    position = np.zeros((num, 3))
+    velocity, memory = motion.begin(np.random.default_rng(0), position)
+    memory[:, 3] = 4.0 - STEP
+    for which in (15, 0):
+        before, at = velocity.copy(), position.copy()
+        motion.advance(position, velocity, memory, STEP)
+        drawn = (velocity - before) / STEP + 2.0 * at + before
+        expected = memory[:, 4 + 3 * which : 7 + 3 * which]
+        np.testing.assert_allclose(drawn, expected, atol=1e-12)
+
+
 NUM = 4000
 
 

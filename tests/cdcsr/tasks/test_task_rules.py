@@ -10,7 +10,7 @@ import pytest
 from cdcsr.errors import CdcsrError
 from cdcsr.robot.description import load_robot
 from cdcsr.simulation.contract import Array, State
-from cdcsr.tasks.catalogue import TASKS, Follow, make_task
+from cdcsr.tasks.catalogue import TASKS, Capture, Follow, make_task
 from cdcsr.tasks.observation import (
     BASE_POSITION,
     BASE_QUATERNION,
@@ -81,11 +81,52 @@ def test_every_named_task_is_found_by_its_name() -> None:
         ("captur", {}, r"Unknown task 'captur'\. Did you mean 'capture'\?"),
         ("capture", {"motion": "spin"}, r"Unknown motion 'spin'"),
         ("reach", {"threshold": 0.0}, "threshold must be positive and finite, not 0"),
+        ("reach", {"threshold": np.inf}, "threshold must be positive and finite, not inf"),
+        ("reach", {"max_steps": 10_000_001}, "max_steps must be a whole number from 1 to 10000000"),
     ],
 )
 def test_wrong_tasks_are_errors(name: str, changes: dict[str, object], message: str) -> None:
     with pytest.raises(CdcsrError, match=message):
         make_task(name, None, **changes)
+
+
+def test_the_numbers_behind_the_names_of_tasks() -> None:
+    """They are written in the documentation; with others the same name would mean another task."""
+    steps = {"follow": 1000, "capture": 500}
+    for name, task in TASKS.items():
+        own = 0.01 if name == "precise" else 0.03
+        assert (task.threshold, task.max_steps) == (own, steps.get(task.kind, 250))
+        assert task.quiet == (name == "quiet")
+        assert (task.base_shift, task.base_tilt, task.period) == (0.003, 0.05, 0.0025)
+    capture, follow = TASKS["capture"], TASKS["follow-line"]
+    assert isinstance(capture, Capture)
+    assert isinstance(follow, Follow)
+    assert (capture.speed, capture.dwell, capture.motion) == (0.1, 0.1, "rest")
+    assert (follow.settling, follow.share, follow.motion) == (0.625, 0.9, "line")
+    assert make_task("reach", max_steps=10_000_000).max_steps == 10_000_000
+
+
+def test_an_episode_has_an_action_however_long_a_step_is() -> None:
+    paper = load_robot("paper")
+    assert make_task("reach", paper.model_copy(update={"time_step": 9.0})).max_steps == 1
+    assert make_task("reach", paper.model_copy(update={"time_step": 0.25})).max_steps == 2
+
+
+def test_what_is_lost_has_achieved_nothing() -> None:
+    lost, every = np.array([True, False]), np.array([True, True])
+    assert [rows.tolist() for rows in Verdict(*[every] * 4).without(lost)] == [[False, True]] * 4
+
+
+def test_a_look_without_an_action_counts_nothing() -> None:
+    """The state is judged by the counts so far."""
+    task, now, still = make_task("capture"), state(np.zeros((1, 3)), np.zeros((1, 3))), np.zeros(1)
+    counts = {"dwelt": np.array([39])}
+    for _ in range(3):
+        verdict = task.judge(now, np.zeros((1, 3)), still, counts, count=False)
+        assert (verdict.on_target[0], verdict.success[0]) == (True, False)
+    assert counts["dwelt"].tolist() == [39]
+    assert task.judge(now, np.zeros((1, 3)), still, counts).success[0]
+    assert task.extra_info(now, counts)["dwelt"].tolist() == [pytest.approx(0.1)]
 
 
 def test_capture_is_forty_steps_on_target_without_a_break() -> None:
@@ -230,8 +271,9 @@ def test_the_first_observation_is_no_success() -> None:
     tip = np.array([[0.0, 0, 0], [1, 0, 0], [0.02, 0, 0]])
     assert make_task("reach").first_success(tip, np.zeros((3, 3)), np.zeros(3)) == 2
     assert make_task("precise").first_success(tip, np.zeros((3, 3)), np.zeros(3)) is None
-    with pytest.raises(ValueError, match="quiet task"):
-        make_task("quiet").first_success(tip, np.zeros((3, 3)), np.zeros(3))
+    for base in (None, np.zeros((3, 3))):
+        with pytest.raises(ValueError, match="quiet task"):
+            make_task("quiet").first_success(tip, np.zeros((3, 3)), np.zeros(3), base)
 
 
 def test_relabelled_observations_differ_only_in_target_and_distance() -> None:

@@ -81,6 +81,61 @@ def test_a_map_that_is_missing_or_damaged_names_the_command(tmp_path: Path) -> N
         make_space(str(path), PAPER)
 
 
+def _written(path: Path, **changes: object) -> None:
+    """Write a map with other arrays than it should have; None leaves one out."""
+    made = two_cells()
+    texts = {"robot": made.robot, "description": "", "digest": made.digest}
+    numbers = {"origin": made.origin, "edges": made.edges, "cells": made.cells}
+    arrays = {**{k: np.array(v) for k, v in texts.items()}, **numbers, **changes}
+    kept = {name: array for name, array in arrays.items() if array is not None}
+    np.savez_compressed(path, **kept)  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"origin": np.zeros(2)}, "its arrays have wrong shapes"),
+        ({"edges": np.ones((3, 1))}, "its arrays have wrong shapes"),
+        ({"cells": np.zeros(3, np.int16)}, "its arrays have wrong shapes"),
+        ({"cells": np.zeros((2, 2), np.int16)}, "its arrays have wrong shapes"),
+        ({"cells": np.zeros((0, 3), np.int16)}, "it has no cells"),
+        ({"cells": np.zeros((2, 3))}, "it has no cells"),
+        ({"origin": np.array([0.0, np.nan, 0.0])}, "it is not finite"),
+        ({"edges": np.array([0.1, -0.1, 0.1])}, "it is not finite"),
+        ({"edges": np.array([0.1, np.inf, 0.1])}, "it is not finite"),
+        ({"origin": np.zeros(3)}, "its digest is"),
+        ({"digest": None}, "it holds ['cells.npy', 'description.npy'"),
+        ({"more": np.zeros(3)}, "it holds ['cells.npy', 'description.npy'"),
+    ],
+)
+def test_a_map_of_other_content_is_refused(
+    tmp_path: Path, changes: dict[str, object], message: str
+) -> None:
+    _written(tmp_path / "map.npz", **changes)
+    with pytest.raises(CdcsrError, match=re.escape(message)):
+        make_space(str(tmp_path / "map.npz"), PAPER)
+
+
+def test_a_map_of_an_older_version_is_read_with_a_note(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path = tmp_path / "map.npz"
+    _written(path, description=None, digest=None)
+    old = make_space(str(path), PAPER)
+    found, ours = (space.sample(np.random.default_rng(1), 9) for space in (old, two_cells()))
+    np.testing.assert_array_equal(found, ours)
+    assert "is of an older version, without a digest" in capsys.readouterr().err
+    two_cells().save(path)
+    make_space(str(path), PAPER)
+    assert capsys.readouterr().err == ""
+
+
+def test_a_flat_map_has_flat_cells() -> None:
+    made = Workspace("", np.array([1.0, 2.0, 3.0]), np.array([0.2, 0.0, 0.1]), two_cells().cells)
+    np.testing.assert_allclose(made.centers, [[1.1, 2.0, 3.05], [2.1, 2.0, 2.95]])
+    assert (made.sample(np.random.default_rng(0), 50)[:, 1] == 2.0).all()
+
+
 def test_demonstrations_for_a_workspace_are_taken_in_the_whole_workspace() -> None:
     assert [demonstration_space(n) for n in ("anchor", "floating", "spatter")] == ["anchor"] * 3
     assert [demonstration_space(n) for n in ("workspace", "my.npz")] == ["workspace", "my.npz"]
