@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import json
+import subprocess
+import sys
 import xml.etree.ElementTree as ET
 
 import numpy as np
@@ -41,6 +43,16 @@ def test_guides_of_the_cable_file_span_the_rest_length(robot: Robot) -> None:
         )
         along = np.linalg.norm(np.diff(points, axis=0), axis=1).sum()
         assert along + servo.offset == pytest.approx(cable["rest_length"], rel=1e-12)
+
+
+def test_an_import_prints_nothing_and_leaves_the_standard_error_as_it_was() -> None:
+    """PyBullet greets with its build time. The lowest free descriptor is the same afterwards."""
+    code = (
+        "import os; free = os.dup(2); os.close(free); import backends.pybullet as ours; "
+        "os.write(2, b'still there'); assert os.dup(2) == free; print(ours.pybullet.__name__)"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert (done.stdout, done.stderr) == ("pybullet\n", "still there")
 
 
 def test_pybullet_has_the_masses_and_inertias_that_were_written(robot: Robot) -> None:

@@ -9,6 +9,7 @@ import gymnasium as gym
 import numpy as np
 import pytest
 
+from backends.mujoco.simulation import MujocoSimulation
 from cdcsr.envs.gym_env import TaskVectorEnv
 from cdcsr.errors import CdcsrError
 from cdcsr.robot.description import Robot, load_robot
@@ -108,6 +109,39 @@ def test_bent_arms_on_a_light_base_float_freely_too(monkeypatch: pytest.MonkeyPa
     rest = np.abs(np.einsum("nij,nj->ni", mass[:, :6], velocity))
     assert np.linalg.norm(velocity[:, 3:6], axis=1).max() > 1
     assert (rest < 0.05 * moving.max()).all()
+
+
+def test_a_bent_arm_was_pulled_twice_and_is_kept_at_the_end_of_both(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """Each command lasts from one step to 0.2 s, 80 steps. The states in the bank are those of the
+    steps in which a copy's commands change or end."""
+    taken: list[tuple[Array, Array]] = []
+
+    class Logged(MujocoSimulation):
+        def step(self, command: Array, substeps: int = 1) -> None:
+            super().step(command, substeps)
+            taken.append((command.copy(), self.get_snapshot().position[:, 7:]))
+
+    monkeypatch.setattr(starts, "BANK", 48)
+    monkeypatch.setattr(starts, "_BANKS", {})
+    monkeypatch.setattr(starts, "make_simulation", lambda robot, _, num: Logged(robot, num))
+    kept = bank(SMALL, 0)[0][:, 7:].reshape(2, 24, -1)
+    commands, joints = (np.array(column) for column in zip(*taken, strict=True))
+    lasted = []
+    for copy in range(24):
+        at = [(joints[:, copy] == kept[which, copy]).all(1).argmax() + 1 for which in (0, 1)]
+        first, second = commands[: at[0], copy], commands[at[0] : at[1], copy]
+        assert (joints[np.subtract(at, 1), copy] == kept[:, copy]).all()
+        assert (first == first[0]).all()
+        assert (second == second[0]).all()
+        assert (first[0] != second[0]).all()
+        lasted += [at[0], at[1] - at[0]]
+    assert 1 <= min(lasted) < 8
+    assert 72 < max(lasted) <= 80
+    pulls = -commands[0] / [servo.eta for servo in SMALL.servos]
+    assert 0 <= pulls.min() < 0.05
+    assert 0.95 < pulls.max() <= 1
 
 
 def test_a_bank_is_determined_by_its_seed(monkeypatch: pytest.MonkeyPatch) -> None:
