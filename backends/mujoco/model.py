@@ -53,7 +53,8 @@ def build_spec(robot: Robot, meshes: Mapping[str, str] | None = None) -> mujoco.
     spec.compiler.degree = False
     _set_options(spec, robot)
     for part, file in (meshes or {}).items():
-        spec.add_mesh(name=part, file=file)
+        # As a shell, open and flat ones are meshes too; nothing reads their inertia.
+        spec.add_mesh(name=part, file=file, inertia=mujoco.mjtMeshInertia.mjMESH_INERTIA_SHELL)
     base = spec.worldbody.add_body(
         name="base",
         pos=robot.base.position,

@@ -9,11 +9,12 @@ from scipy.spatial.transform import Rotation
 
 from backends.viewers.cable_paths import CablePaths
 from backends.viewers.software import CABLE_RADIUS
-from cdcsr.robot.colors import TARGET, TARGET_RADIUS, TIP
+from cdcsr.robot.colors import DEBRIS, TARGET, TARGET_RADIUS, TIP
 from cdcsr.robot.description import Robot
 from cdcsr.robot.meshes import link_parts, visual_meshes
 from cdcsr.robot.poses import link_poses
 from cdcsr.robot.ruler import ruler
+from cdcsr.tasks.debris import Surface
 from cdcsr.tasks.spaces import Anchor, Balls, Space
 
 Array = NDArray[np.float64]
@@ -133,6 +134,15 @@ def _add_space(scene: viser.SceneApi, name: str, space: Space) -> None:
     elif isinstance(space, Balls):
         for n, center in enumerate(space.centers):
             scene.add_icosphere(f"{name}{n}", space.radius, _SPACE_COLOR, position=center, **look)
+    elif isinstance(space, Surface):
+        scene.add_mesh_simple(
+            name,
+            space.vertices.astype(np.float32),
+            space.faces.astype(np.uint32),
+            color=DEBRIS[:3],
+            opacity=0.5,  # the target and the arm are seen through it
+            side="double",
+        )
     else:
         points = space.sample(np.random.default_rng(0), 4000).astype(np.float32)
         scene.add_point_cloud(name, points, _SPACE_COLOR, point_size=0.006)

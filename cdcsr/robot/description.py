@@ -35,6 +35,7 @@ from pydantic_core import InitErrorDetails
 
 from cdcsr.errors import CdcsrError, unknown_choice
 from cdcsr.reading import MOST_TEXT, read_text
+from cdcsr.robot.mesh_files import MeshName
 from cdcsr.robot.parts import (
     Hinge,
     Inertia,
@@ -62,7 +63,7 @@ def _unit(quaternion: tuple[float, float, float, float]) -> tuple[float, float, 
 class Base(Part):
     """The base: a box. At the start its centre is the world origin, unless it says otherwise."""
 
-    later = ("mount", "position", "quaternion")
+    later = ("mount", "position", "quaternion", "mesh")
     size: Annotated[tuple[Positive, Positive, Positive], Strict(False)]
     """Edge lengths along x, y, z in [m]."""
     mass: Positive
@@ -77,6 +78,8 @@ class Base(Part):
         tuple[float, float, float, float], Strict(False), AfterValidator(_unit)
     ] = (1.0, 0.0, 0.0, 0.0)
     """How it is turned at the start, w-x-y-z."""
+    mesh: MeshName | None = None
+    """Its look: a mesh file in [m], origin at its centre."""
 
 
 class Constraint(Part):
@@ -240,8 +243,10 @@ class Robot(Part):
 
     @property
     def fingerprint(self) -> str:
-        """A hash of every number that affects the motion; name and scale are not part of it."""
-        data = self.model_dump(mode="json", exclude={"name", "scale"})
+        """A hash of every number that affects the motion; name, scale and looks do not."""
+        looks = {"own_link": {"mesh"}, "own_chain": {"__all__": {"mesh"}}}
+        others = {"name": True, "scale": True, "base": {"mesh"}, "segments": {"__all__": looks}}
+        data = self.model_dump(mode="json", exclude=others)
         return hashlib.sha256(json.dumps(data, sort_keys=True).encode()).hexdigest()[:16]
 
     def to_toml(self) -> str:
@@ -255,7 +260,7 @@ def differences(own: Robot, other: Robot) -> str:
     found = [
         f"{name} = {ours.get(name, 'none')}, not {theirs.get(name, 'none')}"
         for name in dict.fromkeys((*ours, *theirs))
-        if name != "name" and ours.get(name) != theirs.get(name)
+        if name.split(".")[-1] not in ("name", "mesh") and ours.get(name) != theirs.get(name)
     ]
     more = f"; and {len(found) - 6} more" if len(found) > 6 else ""
     return "; ".join(found[:6]) + more
@@ -329,6 +334,12 @@ def argument_of(robot: Robot) -> str:
     if robot.name in shipped_robots() and load_robot(robot.name).fingerprint == robot.fingerprint:
         return robot.name
     return shlex.quote(_READ_FROM.get(key, robot.name))
+
+
+def folder_of(robot: Robot) -> Path | None:
+    """Return the folder of the file that a description was read from, if that is known."""
+    found = _READ_FROM.get((robot.name, robot.fingerprint))
+    return Path(found).parent if found else None
 
 
 def shipped_robots() -> list[str]:

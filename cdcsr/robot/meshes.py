@@ -1,6 +1,7 @@
 """Triangle meshes of a robot for pictures, and the inertia of a solid of a given shape.
 
-Masses, inertias and routing do not come from the meshes but from the description.
+A part looks as the mesh file that the description names for it, else as drawn here. Masses,
+inertias and routing do not come from the meshes but from the description.
 """
 
 from __future__ import annotations
@@ -12,17 +13,20 @@ import numpy as np
 import trimesh
 from numpy.typing import NDArray
 from trimesh.exchange import gltf
-from trimesh.transformations import rotation_matrix, translation_matrix
+from trimesh.transformations import quaternion_matrix, rotation_matrix, translation_matrix
 from trimesh.visual import ColorVisuals
 
 from cdcsr import files
 from cdcsr.errors import CdcsrError
-from cdcsr.robot.colors import HULL, METAL, PANEL, segment_color
-from cdcsr.robot.description import Robot
+from cdcsr.robot.colors import DEBRIS, HULL, METAL, PANEL, segment_color
+from cdcsr.robot.description import Robot, folder_of
+from cdcsr.robot.mesh_files import read_mesh
 from cdcsr.robot.parts import Link
 from cdcsr.robot.routing import Routing, routing
 
 _SECTIONS = 32
+_WRONG_UNIT = 1000**0.5
+"""A mesh that is larger than its part by more than this is nearer to it in millimetres."""
 
 
 def visual_meshes(robot: Robot) -> dict[str, trimesh.Trimesh]:
@@ -32,11 +36,15 @@ def visual_meshes(robot: Robot) -> dict[str, trimesh.Trimesh]:
         `base` (origin at its centre), and for each segment s from 0: `link_<s>` (origin at its
         joint, +z along the link), `link_<s>_<n>` for each link n that differs from its first one,
         `end_<s>` if the last one does, and `slider_<s>` if it has cables (origin at its centre).
+
+    Raises:
+        CdcsrError: a mesh file that the description names cannot be read, or is in another unit.
     """
-    meshes = {"base": _base(robot)}
+    own = _from_file(robot, robot.base.mesh, "base", max(robot.base.size), HULL)
+    meshes = {"base": own or _base(robot)}
     for (link, _), part in zip(robot.links, link_parts(robot), strict=True):
         if part not in meshes:
-            meshes[part] = _link(robot, link, int(part.split("_")[1]))
+            meshes[part] = _own_link(robot, link, part) or _link(robot, link, _segment(part))
     for s, segment in enumerate(robot.segments):
         if segment.cable_angles:
             ball = trimesh.creation.icosphere(2, segment.servo.radius)
@@ -72,8 +80,8 @@ def solid_inertia(mesh: trimesh.Trimesh, mass: float) -> NDArray[np.float64]:
     return np.asarray(mesh.moment_inertia) * (mass / (mesh.volume * mesh.density))
 
 
-def export_glb(robot: Robot, path: Path) -> None:
-    """Write the whole straight robot as one GLB scene.
+def export_glb(robot: Robot, path: Path, debris: trimesh.Trimesh | None = None) -> None:
+    """Write the whole straight robot as one GLB scene, with debris beside it if there is any.
 
     As glTF asks, up is +y in the scene; that is +z of the arm.
 
@@ -112,7 +120,55 @@ def export_glb(robot: Robot, path: Path) -> None:
         place(f"slider_{s}", f"slider{c}", (x, y, low))
         line = _cable(robot, route, c, low)
         place(_coloured(line, METAL), f"cable{c}", (x, y, low + route.rest_length[c] / 2))
+    if debris is not None:
+        # The robot's scene is in the frame of its base.
+        turned = quaternion_matrix(robot.base.quaternion)
+        to_base = np.linalg.inv(translation_matrix(robot.base.position) @ turned)
+        floating = _coloured(debris.copy().apply_transform(to_base), DEBRIS)
+        place(floating, "debris", (0.0, 0.0, 0.0))
     files.write_bytes(path, gltf.export_glb(scene))
+
+
+def _segment(part: str) -> int:
+    """Return the segment that a link's mesh belongs to, by its name."""
+    return int(part.split("_")[1])
+
+
+def _own_link(robot: Robot, link: Link, part: str) -> trimesh.Trimesh | None:
+    """Return the mesh that the description names for a link, if any; along a taper it gets thinner
+    with the link."""
+    s = _segment(part)
+    mesh = _from_file(robot, link.mesh, part, link.length, segment_color(s))
+    if mesh is not None and robot.segments[s].taper is not None:
+        thinner = link.radius / robot.segments[s].link.radius
+        mesh.apply_transform(np.diag([thinner, thinner, 1.0, 1.0]))
+    return mesh
+
+
+def _from_file(
+    robot: Robot, name: str | None, part: str, size: float, color: tuple[int, int, int, int]
+) -> trimesh.Trimesh | None:
+    """Return the mesh that a description names for a part of a given size in [m]; None if it names
+    none, or if it was not read from a file, beside which the mesh would lie."""
+    if name is None:
+        return None
+    folder = folder_of(robot)
+    if folder is None:
+        files.note(
+            f"The mesh {name!r} of {robot.name!r} lies beside its description, whose file is not "
+            f"known here; its {part} is drawn in the standard shape. Give the .toml as the robot."
+        )
+        return None
+    mesh = read_mesh(folder / name)
+    largest = float(max(mesh.extents))
+    if not size / _WRONG_UNIT < largest < size * _WRONG_UNIT:
+        unit = "millimetres" if largest > size else "another unit"
+        raise CdcsrError(
+            f"The mesh {folder / name} is {largest:.3g} m large and the {part} of {robot.name!r} "
+            f"{size:.3g} m. Coordinates are read as metres, and these look like {unit}: export it "
+            "in metres."
+        )
+    return _coloured(mesh, color)
 
 
 def _cable(robot: Robot, route: Routing, c: int, slider: float) -> trimesh.Trimesh:

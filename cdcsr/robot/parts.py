@@ -17,6 +17,8 @@ from pydantic import (
     model_validator,
 )
 
+from cdcsr.robot.mesh_files import MeshName
+
 Positive = Annotated[float, Field(gt=0)]
 NonNegative = Annotated[float, Field(ge=0)]
 Angle = Annotated[float, Field(gt=0, le=pi)]
@@ -63,7 +65,7 @@ class Part(BaseModel):
 class Link(Part):
     """One rigid link: a cylinder along z with its joint at the lower end."""
 
-    later = ("center",)
+    later = ("center", "mesh")
     length: Positive
     """In [m]."""
     radius: Positive
@@ -74,6 +76,8 @@ class Link(Part):
     """Principal moments about the link's centre of mass in [kg m^2]."""
     center: NonNegative | None = None
     """Height of the centre of mass above the joint, in [m]; without it, half of the length."""
+    mesh: MeshName | None = None
+    """Its look: a mesh file in [m], origin at the joint, +z along the link."""
 
     def scaled(self, radius: float, mass: float) -> Link:
         """Return a link of so many times the radius and the mass: its moments across grow with the
@@ -333,4 +337,5 @@ def joined(lower: Link, upper: Link) -> Link:
         mass=mass,
         inertia=(x + shift, y + shift, z),
         center=center,
+        mesh=lower.mesh,
     )

@@ -115,7 +115,7 @@ class OwnLink(Link):
     """One link of a segment whose links differ, with a joint of its own unless it has the
     segment's."""
 
-    later = ("center", "joint")
+    later = ("center", "mesh", "joint")
     joint: Joint | None = None
 
     @property

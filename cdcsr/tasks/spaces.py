@@ -1,5 +1,5 @@
-"""Operation spaces, where targets lie: the three of the BATD3 paper (Tian et al., section V-A), and
-the whole workspace of a robot."""
+"""Operation spaces, where targets lie: the three of the BATD3 paper (Tian et al., section V-A), the
+whole workspace of a robot, and the surface of debris in a mesh file."""
 
 from __future__ import annotations
 
@@ -12,8 +12,10 @@ from numpy.typing import NDArray
 
 from cdcsr.errors import CdcsrError, unknown_choice
 from cdcsr.robot.description import Robot
+from cdcsr.robot.mesh_files import ENDINGS, is_mesh
 from cdcsr.robot.ruler import ruler
 from cdcsr.simulation.arguments import as_floats
+from cdcsr.tasks.debris import load_surface
 from cdcsr.tasks.workspace_map import load_workspace
 
 Array = NDArray[np.float64]
@@ -112,9 +114,9 @@ def demonstration_targets(robot: Robot, num: int = 10, seed: int = 0) -> Array:
 def demonstration_space(name: str) -> str:
     """Return the space of the demonstrations from which a policy learns to work in space `name`.
 
-    That is the Anchor Space, or the whole workspace if `name` means that.
+    That is the Anchor Space, or the same space if it is the whole workspace or a file.
     """
-    return name if name == WORKSPACE or name.endswith(".npz") else "anchor"
+    return name if name == WORKSPACE or name.endswith(".npz") or is_mesh(name) else "anchor"
 
 
 def anchor(robot: Robot) -> Anchor:
@@ -122,14 +124,17 @@ def anchor(robot: Robot) -> Anchor:
     return Anchor(robot.workspace.center, robot.workspace.size)
 
 
-def own_map(name: str, robot: Robot) -> dict[str, str]:
-    """Return the digest of a map that the user gave as a space, as the entry `map` of a record.
+def own_file(name: str, robot: Robot) -> dict[str, str]:
+    """Return the digest of a file that the user gave as a space, as the entry of a record: `map` of
+    a map, `debris` of a mesh.
 
-    Another map may have the same name; the named spaces have no such entry.
+    Another file may have the same name; the named spaces have no such entry.
 
     Raises:
-        CdcsrError: there is no such map, or it is not of this robot.
+        CdcsrError: there is no such file, or it is not for this robot.
     """
+    if is_mesh(name):
+        return {"debris": load_surface(Path(name), robot).digest}
     return {"map": load_workspace(robot, Path(name)).digest} if name.endswith(".npz") else {}
 
 
@@ -137,19 +142,26 @@ def make_space(name: str, robot: Robot, centers: Array | None = None) -> Space:
     """Return an operation space.
 
     Args:
-        name: one of :data:`SPACES`, "workspace", or the path of a map that ends in .npz.
+        name: one of :data:`SPACES`, "workspace", the path of a map that ends in .npz, or that of a
+            mesh that ends in .stl, .obj, .ply or .glb.
         robot: whose workspace it is.
         centers: targets of the demonstrations, shape (n, 3), in [m]; by default those of seed 0.
 
     Raises:
-        CdcsrError: there is no such space, or no map of the robot's workspace.
+        CdcsrError: there is no such space, or no map of the robot's workspace, or the arm does not
+            reach the mesh.
     """
     if name == "anchor":
         return anchor(robot)
+    if is_mesh(name):
+        return load_surface(Path(name), robot)
     if name == WORKSPACE or name.endswith(".npz"):
         return load_workspace(robot, None if name == WORKSPACE else Path(name))
     if name not in BALLS:
-        raise CdcsrError(unknown_choice("space", name, (*SPACES, WORKSPACE)))
+        raise CdcsrError(
+            unknown_choice("space", name, (*SPACES, WORKSPACE))
+            + f" Or give the path of a map (.npz) or of debris ({', '.join(ENDINGS)})."
+        )
     if centers is None:
         centers = demonstration_targets(robot)
     own = ruler(robot)

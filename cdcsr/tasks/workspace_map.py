@@ -47,6 +47,22 @@ class Workspace:
         cell = self.cells[rng.integers(len(self.cells), size=num)]
         return self.origin + (cell + rng.random((num, 3))) * self.edges
 
+    def holds(self, points: Array) -> NDArray[np.bool_]:
+        """Return which points lie in a cell, shape (n,); none does if the map is flat.
+
+        Args:
+            points: shape (n, 3), world frame, in [m].
+        """
+        if not self.edges.all():
+            return np.zeros(len(points), dtype=bool)
+        low, high = self.cells.min(axis=0), self.cells.max(axis=0)
+        filled = np.zeros(high - low + 1, dtype=bool)
+        filled[tuple((self.cells - low).T)] = True
+        cell = np.floor((points - self.origin) / self.edges) - low
+        inside = ((cell >= 0) & (cell < filled.shape)).all(axis=1)
+        inside[inside] = filled[tuple(cell[inside].astype(int).T)]
+        return inside
+
     @property
     def centers(self) -> Array:
         """The centres of the cells, shape (n, 3), world frame, in [m]."""

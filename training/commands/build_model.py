@@ -6,7 +6,14 @@ from pathlib import Path
 
 
 def build_model(
-    robot: str, /, *, out: Path, backend: str = "all", force: bool = False, json: Path | None = None
+    robot: str,
+    /,
+    *,
+    out: Path,
+    backend: str = "all",
+    debris: Path | None = None,
+    force: bool = False,
+    json: Path | None = None,
 ) -> None:
     """Write a robot as stock model files that the engines load on their own.
 
@@ -19,6 +26,7 @@ def build_model(
         robot: a shipped robot, or a path ending in .toml.
         out: the folder to write.
         backend: the engine to write for, or "all".
+        debris: a mesh (.stl, .obj, .ply, .glb) that stands in the GLB scene beside the robot.
         force: replace the folder if it is there already.
         json: also write the summary to this file.
     """
@@ -27,12 +35,14 @@ def build_model(
     from cdcsr.files import write_json
     from cdcsr.folders import new_folder
     from cdcsr.robot.description import load_robot
+    from cdcsr.robot.mesh_files import read_mesh
     from cdcsr.simulation.engines import chosen_backends, engine_title, load_backend
 
     description = load_robot(robot)
+    mesh = None if debris is None else read_mesh(debris, "debris")
     backends = chosen_backends(backend)
     with new_folder(out, "models of a robot", force) as folder:
-        write_model(description, folder, backends)
+        write_model(description, folder, backends, mesh)
         summary = summarize(description, backends)
         names = sorted(path.name for path in folder.iterdir())
     print(show(summary))

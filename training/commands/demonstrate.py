@@ -35,7 +35,8 @@ def demonstrate(
         frame_skip: how many simulation steps each command is held for; by default the robot's own
             number, 1 for the paper's robot.
         backend: the engine.
-        space: the operation space of the targets: anchor, floating, spatter or workspace.
+        space: the operation space of the targets: anchor, floating, spatter, workspace, a map
+            (.npz) or debris (.stl, .obj, .ply, .glb).
         task: reach, precise, quiet, capture, capture-drift, capture-tumble, follow-line,
             follow-circle or follow-random.
         start: how episodes begin: still, moving or anywhere (`cdcsr.tasks.starts`).

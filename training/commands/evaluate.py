@@ -34,7 +34,8 @@ def evaluate(
         robot: the robot; by default the policy's own, or else "paper". A policy is refused on
             another robot than its own.
         backend: an engine, or all.
-        space: anchor, floating, spatter or workspace; by default that of the training.
+        space: anchor, floating, spatter, workspace, a map (.npz) or debris (.stl, .obj, .ply,
+            .glb); by default that of the training.
         task: the task; by default the one it was trained for.
         start: how episodes begin: still, moving or anywhere (`cdcsr.tasks.starts`); by default as
             in the training.

@@ -46,7 +46,8 @@ def film(
         backend: one engine, or several side by side.
         robot: a shipped robot's name, or a path ending in .toml; by default the robot of the policy
             or of the dataset, else paper.
-        space: where targets lie: anchor, floating, spatter or workspace. A dataset has its own.
+        space: where targets lie: anchor, floating, spatter, workspace, a map (.npz) or debris
+            (.stl, .obj, .ply, .glb). A dataset has its own.
         targets: how many episodes, one after another.
         seed: seed of the targets; by default the one that nothing is tuned on.
         seconds: how much of each episode is shown, in simulated s; by default all of it.

@@ -87,7 +87,8 @@ def search(
         out: folder of the results: `targets.csv`, a line for each target, and `search.json`, the
             options.
         backend: the engine.
-        space: anchor, floating, spatter or workspace; by default that of the training.
+        space: anchor, floating, spatter, workspace, a map (.npz) or debris (.stl, .obj, .ply,
+            .glb); by default that of the training.
         start: how episodes begin: still, moving or anywhere (`cdcsr.tasks.starts`); by default as
             in the training.
         threshold: the tip is on the target within this distance, in m; by default as in the
@@ -207,7 +208,7 @@ class _Search:
 
     def identity(self) -> dict[str, object]:
         """Return what must be the same for a search to be resumed."""
-        from cdcsr.tasks.spaces import own_map
+        from cdcsr.tasks.spaces import own_file
 
         one = self.disturbances
         noise = {name: getattr(one, name) for name in ("action_noise", "base_noise", "packet_loss")}
@@ -228,7 +229,7 @@ class _Search:
             identity["start"] = self.start
         if scale := self.robot.scale.model_dump(mode="json"):
             identity["scale"] = scale  # the same
-        identity |= own_map(self.space, self.robot)
+        identity |= own_file(self.space, self.robot)
         if any(noise.values()):
             # Older searches reported the tries that chose the plan; they cannot be resumed.
             identity["told"] = "by tries drawn anew"

@@ -36,7 +36,8 @@ def transfer(
             demonstrator), "nearest" (replays the nearest demonstration), package.module:Object (a
             controller of your own), or .zip files of stable-baselines3.
         backend: an engine, or all.
-        space: anchor, floating, spatter or workspace; or all, which is the first three.
+        space: anchor, floating, spatter, workspace, a map (.npz), debris (.stl, .obj, .ply, .glb);
+            or all, which is the first three.
         start: how episodes begin: still, moving or anywhere (`cdcsr.tasks.starts`); by default as
             in the training of all of them.
         episodes: how many episodes in each cell, run as one batch.

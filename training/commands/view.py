@@ -36,7 +36,8 @@ def view(
             begins.
         show: episodes to show again: a dataset made by `cdcsr demonstrate`, or the JSON file of
             `cdcsr evaluate`.
-        space: the operation space of the targets: anchor, floating, spatter or workspace.
+        space: the operation space of the targets: anchor, floating, spatter, workspace, a map
+            (.npz) or debris (.stl, .obj, .ply, .glb).
         frame_skip: how many simulation steps each command of the dataset was held for; by default
             the robot's own number.
         seed: seed of the first target.

@@ -43,7 +43,8 @@ class RunDescription:
     robot: str = "paper"
     """The name of a shipped robot, or a path that ends in .toml."""
     space: str = "anchor"
-    """Where targets lie: anchor, floating, spatter, workspace, or a map from `cdcsr workspace`."""
+    """Where targets lie: anchor, floating, spatter, workspace, or a file: a map from
+    `cdcsr workspace`, or the mesh of debris (.stl, .obj, .ply, .glb)."""
     task: str = "reach"
     """The task: reach, precise, quiet, capture, capture-drift, capture-tumble, follow-line, ..."""
     start: StartName = "still"

@@ -70,6 +70,7 @@ Train a policy. To resume an interrupted run, give the same command again.
   --backend ENGINE        the engine to train in, or several joined by + (mujoco)
   --robot ROBOT           a shipped robot, or a path that ends in .toml (paper)
   --space SPACE           where targets lie: anchor (default), floating, spatter, workspace, a map
+                          (.npz) or debris (.stl, .obj, .ply, .glb)
   --task TASK             reach (default), precise, quiet, capture, follow-line, ...
   --threshold M, --seconds S, --radius M
                           distance that counts as reached, length of an episode, and radius of

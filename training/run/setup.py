@@ -20,7 +20,7 @@ from cdcsr.simulation.engines import load_backend
 from cdcsr.tasks.catalogue import actions_per_episode, make_task
 from cdcsr.tasks.feasible import adjusted, check_targets
 from cdcsr.tasks.observation import observation_size
-from cdcsr.tasks.spaces import demonstration_space, make_space, own_map
+from cdcsr.tasks.spaces import demonstration_space, make_space, own_file
 from cdcsr.tasks.starts import Starts
 from cdcsr.tasks.symmetry import images
 from cdcsr.tasks.task import Reward, Task
@@ -124,7 +124,7 @@ class Setup:
         """Return all that must be the same for the run to be resumed."""
         given = self.config.demonstrations is not None
         digest = demonstrations.digest(self.episodes) if given else None
-        own = own_map(self.config.space, self.robot)
+        own = own_file(self.config.space, self.robot)
         return {**self.config.identity(self.robot, digest), **own}
 
     @cached_property

@@ -163,5 +163,5 @@ def read_older(
     for name in ("changes", "updates", "randomize", "demonstration_seed", "start"):
         del usual[name]
     preset = str(found.get("preset"))
-    usual |= {name: value for name, value in now.items() if name == "map"}
+    usual |= {name: value for name, value in now.items() if name in ("map", "debris")}
     return {**usual, **found, "preset": RENAMED.get(preset, preset), "learner": learner}

@@ -42,6 +42,9 @@ class mjtGeom(_Enum):
     mjGEOM_BOX: ClassVar[Self]
     mjGEOM_MESH: ClassVar[Self]
 
+class mjtMeshInertia(_Enum):
+    mjMESH_INERTIA_SHELL: ClassVar[Self]
+
 class mjtIntegrator(_Enum):
     mjINT_EULER: ClassVar[Self]
     mjINT_RK4: ClassVar[Self]
@@ -234,7 +237,9 @@ class MjSpec:
     def __init__(self) -> None: ...
     @staticmethod
     def from_file(filename: str) -> MjSpec: ...
-    def add_mesh(self, *, name: str = ..., file: str = ...) -> MjsMesh: ...
+    def add_mesh(
+        self, *, name: str = ..., file: str = ..., inertia: mjtMeshInertia = ...
+    ) -> MjsMesh: ...
     def add_tendon(
         self,
         *,
@@ -313,6 +318,7 @@ class _Camera:
 class MjModel:
     nv: int
     ncam: int
+    nmesh: int
     ntex: int
     tex_type: _Ints
     tex_data: NDArray[np.uint8]

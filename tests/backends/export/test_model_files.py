@@ -10,10 +10,12 @@ from pathlib import Path
 import mujoco
 import numpy as np
 import pytest
+import trimesh
 
 from cdcsr.errors import CdcsrError
 from cdcsr.files import JsonObject
 from cdcsr.robot.description import Robot, load_robot
+from cdcsr.robot.meshes import visual_meshes
 from cdcsr.robot.routing import routing
 from cdcsr.simulation.cameras import CAMERAS
 from cdcsr.simulation.engines import make_simulation
@@ -152,6 +154,30 @@ def test_one_backend_alone(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -
     assert "degrees of freedom  22" in shown  # 6 of the base, 4 sliders, 12 hinges
     assert "segment 0         1.4, 1.4, 1.4, 1.4" in shown
     assert "mass matrix" not in shown
+
+
+def test_meshes_of_ones_own_travel_with_the_files(tmp_path: Path) -> None:
+    """Flat ones too, which enclose no volume; the written description names the written copies."""
+    corners = [[0, 0, 0], [0.1, 0, 0], [0, 0, 0.2], [0.1, 0, 0.2]]
+    plate = trimesh.Trimesh(corners, [[0, 1, 2], [1, 3, 2]])
+    plate.export(tmp_path / "plate.stl")
+    trimesh.creation.box((1.0, 1.0, 0.6)).export(tmp_path / "hull.glb")
+    trimesh.creation.icosphere(2, 0.1).export(tmp_path / "debris.obj")
+    text = load_robot("planar-single").to_toml()
+    for section, mesh in (("[base]", "hull.glb"), ("[segments.link]", "plate.stl")):
+        text = text.replace(f"{section}\n", f'{section}\nmesh = "{mesh}"\n')
+    (tmp_path / "own.toml").write_text(text)
+    out = tmp_path / "out"
+    build_model(str(tmp_path / "own.toml"), out=out, debris=tmp_path / "debris.obj")
+    model = mujoco.MjModel.from_xml_path(str(out / "planar-single.xml"))
+    assert model.nmesh == 3
+    written = load_robot(out / "planar-single.toml")
+    assert (written.base.mesh, written.segments[0].link.mesh) == (
+        "meshes/base.stl",
+        "meshes/link_0.stl",
+    )
+    np.testing.assert_allclose(visual_meshes(written)["base"].extents, (1.0, 0.6, 1.0), rtol=1e-6)
+    assert b'"debris"' in (out / "planar-single.glb").read_bytes()
 
 
 def test_an_existing_folder_is_refused_unless_forced(tmp_path: Path) -> None:

@@ -13,7 +13,7 @@ from trimesh.visual import ColorVisuals
 
 from cdcsr.errors import CdcsrError
 from cdcsr.robot.colors import HULL, METAL, PANEL
-from cdcsr.robot.description import load_robot, shipped_robots
+from cdcsr.robot.description import load_robot, parse_robot, shipped_robots
 from cdcsr.robot.meshes import export_glb, solid_inertia, visual_meshes
 
 
@@ -150,6 +150,87 @@ def test_a_link_is_a_rod_with_a_disc_at_each_guide() -> None:
     tallest = visual_meshes(load_robot("three-segment"))
     colors = [_color(tallest[f"link_{s}"])[:3] for s in range(3)]
     assert colors == [(225, 120, 50), (60, 140, 200), (90, 170, 90)]
+
+
+def with_looks(folder: Path, base: str, link: str) -> Path:
+    """Write the paper's robot with meshes of its own: a base of 1 m, and open tubes as links."""
+    trimesh.creation.box((1.0, 0.5, 0.6)).export(folder / "hull.stl")
+    tube = trimesh.creation.cylinder(0.03, 0.2)
+    tube.update_faces(np.abs(tube.face_normals[:, 2]) < 0.5)
+    tube.apply_translation((0, 0, 0.1)).export(folder / "tube.ply")
+    text = load_robot("paper").to_toml()
+    text = text.replace("[base]\n", f'[base]\nmesh = "{base}"\n')
+    text = text.replace("[segments.link]\n", f'[segments.link]\nmesh = "{link}"\n', 1)
+    (folder / "own.toml").write_text(text.replace('"paper"', '"own-looks"'))
+    return folder / "own.toml"
+
+
+def test_parts_look_as_the_files_that_the_description_names(tmp_path: Path) -> None:
+    paper, robot = load_robot("paper"), load_robot(with_looks(tmp_path, "hull.stl", "tube.ply"))
+    meshes, usual = visual_meshes(robot), visual_meshes(paper)
+    np.testing.assert_allclose(meshes["base"].extents, (1.0, 0.5, 0.6))
+    np.testing.assert_allclose(meshes["link_0"].bounds[:, 2], (0.0, 0.2), atol=1e-7)
+    assert meshes["link_0"].area == pytest.approx(2 * np.pi * 0.03 * 0.2, rel=0.01)
+    np.testing.assert_array_equal(meshes["link_1"].vertices, usual["link_1"].vertices)
+    assert _color(meshes["link_0"]) == _color(usual["link_0"])
+    # They change neither the motion nor what older descriptions are.
+    assert robot.fingerprint == paper.fingerprint
+    assert "mesh" not in paper.to_toml()
+
+
+def test_a_tapered_link_has_a_thinner_mesh(tmp_path: Path) -> None:
+    path = with_looks(tmp_path, "hull.stl", "tube.ply")
+    tapered = path.read_text().replace(
+        "[segments.link]\n", "[segments.taper]\nradius = 0.5\nmass = 0.5\n\n[segments.link]\n", 1
+    )
+    path.write_text(tapered)
+    meshes = visual_meshes(load_robot(path))
+    np.testing.assert_allclose(meshes["link_0"].extents, (0.06, 0.06, 0.2), rtol=0.01)
+    np.testing.assert_allclose(meshes["end_0"].extents, (0.03, 0.03, 0.2), rtol=0.01)
+
+
+@pytest.mark.parametrize(
+    ("base", "link", "words"),
+    [
+        ("none.stl", "tube.ply", r"Cannot read the mesh .*none\.stl: No such file"),
+        ("hull.stl", "hull.step", r"line \d+.*must be the path of a mesh that ends in \.stl"),
+        (
+            "hull.stl",
+            "mm.stl",
+            r"mm\.stl is 200 m large and the link_0 .* 0\.2 m.*like millimetres",
+        ),
+    ],
+)
+def test_meshes_that_are_no_look_are_refused(
+    tmp_path: Path, base: str, link: str, words: str
+) -> None:
+    trimesh.creation.box((20.0, 20.0, 200.0)).export(tmp_path / "mm.stl")
+    with pytest.raises(CdcsrError, match=words):
+        visual_meshes(load_robot(with_looks(tmp_path, base, link)))
+
+
+def test_without_its_file_a_description_is_drawn_in_the_standard_shape(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    text = with_looks(tmp_path, "hull.stl", "tube.ply").read_text()
+    moved = parse_robot(text.replace("own-looks", "from-a-policy"))
+    usual = visual_meshes(load_robot("paper"))
+    np.testing.assert_array_equal(visual_meshes(moved)["base"].vertices, usual["base"].vertices)
+    assert "'hull.stl' of 'from-a-policy' lies beside its description" in capsys.readouterr().err
+
+
+def test_debris_stands_in_the_scene_where_it_is_in_the_world(tmp_path: Path) -> None:
+    """The base stands at (1, 2, 3) m, turned by 90 degrees about x: the world's (1, 2, 5) m is its
+    (0, 2, 0), and glTF's (0, 0, -2)."""
+    paper = load_robot("paper")
+    turned = {"position": (1.0, 2.0, 3.0), "quaternion": (0.5**0.5, 0.5**0.5, 0.0, 0.0)}
+    robot = paper.model_copy(update={"base": paper.base.model_copy(update=turned)})
+    debris = trimesh.creation.icosphere(2, 0.1).apply_translation((1.0, 2.0, 5.0))
+    export_glb(robot, tmp_path / "scene.glb", debris)
+    scene = trimesh.load_scene(io.BytesIO((tmp_path / "scene.glb").read_bytes()), file_type="glb")
+    place, name = scene.graph["debris"]
+    center = (place @ [*scene.geometry[name].centroid, 1.0])[:3]
+    np.testing.assert_allclose(center, (0.0, 0.0, -2.0), atol=1e-6)
 
 
 def _color(mesh: trimesh.Trimesh) -> tuple[int, ...]:
