@@ -174,7 +174,7 @@ class TargetTask(control.Task):
         self._task, self._frame_skip = task, frame_skip
         self._max_actions = actions_per_episode(task.max_steps, frame_skip)
         self._episode = Episodes(1, task, space)
-        self._eta = np.array([servo.eta for servo in robot.servos])
+        self._range = robot.command_range
         self._rng = np.random.default_rng(seed)
         self._reward, self._terminated = 0.0, False
 
@@ -188,7 +188,7 @@ class TargetTask(control.Task):
         physics.show_target(self.target, self._task.threshold)
 
     def before_step(self, action: Array, physics: SimulationPhysics) -> None:
-        physics.set_control(np.clip(action, -self._eta, 0))
+        physics.set_control(np.clip(action, *self._range))
 
     def after_step(self, physics: SimulationPhysics) -> None:
         self._episode.advance(self._frame_skip, physics.timestep())
@@ -198,9 +198,7 @@ class TargetTask(control.Task):
         self._terminated = bool(verdict.terminated[0])
 
     def action_spec(self, physics: SimulationPhysics) -> specs.BoundedArray:
-        return specs.BoundedArray(
-            self._eta.shape, np.float64, -self._eta, np.zeros_like(self._eta), "command"
-        )
+        return specs.BoundedArray(self._range[0].shape, np.float64, *self._range, "command")
 
     def get_observation(self, physics: SimulationPhysics) -> OrderedDict[str, Array]:
         """Return eq. (1) by parts; joined in this order they are Gymnasium's observation."""

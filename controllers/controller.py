@@ -86,5 +86,5 @@ class Controller(ABC):
                 episode is over; their commands are ignored.
 
         Returns:
-            Servo set-points, shape (num, C), in [-eta, 0] m.
+            Commands of the servos, shape (num, C), in the robot's `command_range`.
         """

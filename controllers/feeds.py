@@ -43,13 +43,12 @@ def act_on_simulation(
         The servo set-points that were sent, shape (num, actions, C), in [m].
     """
     robot, sent = simulation.robot, []
-    eta = np.array([servo.eta for servo in robot.servos])
     period = robot.time_step * frame_skip
     controller.begin(Conditions(robot, period, stays, simulation.engine, simulation.dynamics))
     target = Target(targets, np.zeros_like(targets))
     for k in range(actions):
         time = np.full(simulation.num, k * period)
-        command = np.clip(controller.act(simulation.state(), target, time), -eta, 0)
+        command = np.clip(controller.act(simulation.state(), target, time), *robot.command_range)
         simulation.step(command, frame_skip)
         sent.append(command)
     return np.stack(sent, axis=1)

@@ -24,7 +24,7 @@ class JacobianController(Controller):
     K are the hinges' damping and stiffness, and f = passive - bias - h K qd. The wish is
     v* = gain (target - tip), its norm capped, plus the target's velocity: so the tip slows down
     near the target and stays. The command makes each servo pull with its tension:
-    a = travel - t / servo gain.
+    a = travel - t / servo gain; of a tension servo, a = t.
 
     The tip is three of the many coordinates in which the arm moves. At a target the rest of the
     arm may go on moving until no tension can hold the tip. A reach is over by then. Where the tip
@@ -70,8 +70,17 @@ class JacobianController(Controller):
         hinges = np.array([(hinge.stiffness, hinge.damping) for hinge in robot.hinges])
         self._stiffness = np.concatenate([np.zeros(6), hinges[:, 0]])
         self._damping = np.concatenate([np.zeros(6), hinges[:, 1]])
+        if any(servo.kind == "displacement" for servo in robot.servos):
+            raise CdcsrError(
+                f"The controller 'jacobian' commands tensions, and servos of {robot.name!r} are "
+                "driven by displacement; choose another controller, or another kind of servo."
+            )
         self._servo_gain = np.array([servo.gain for servo in robot.servos])
-        self._eta = np.array([servo.eta for servo in robot.servos])
+        self._returns = np.array([float(servo.stiffness > 0) for servo in robot.servos])
+        self._pretension = np.array([servo.pretension for servo in robot.servos])
+        self._limit = np.array([servo.pull for servo in robot.servos])
+        self._sign = np.array([servo.sign for servo in robot.servos])
+        self._range = robot.command_range
 
     def begin(self, conditions: Conditions) -> None:
         """Note the period and where to find the equation of motion.
@@ -89,7 +98,7 @@ class JacobianController(Controller):
 
     def act(self, state: State, target: Target, time: Array) -> Array:
         ids = np.flatnonzero(~np.isnan(time))
-        command = np.zeros((len(time), len(self._eta)))
+        command = np.zeros((len(time), len(self._sign)))
         if len(ids) == 0:
             return command
         error = target.position[ids] - state.tip_position[ids]
@@ -108,7 +117,9 @@ class JacobianController(Controller):
             wish = np.concatenate([wish, -weight * rates], axis=1)
             slope = np.concatenate([slope, weight[:, None] * by_tension], axis=1)
         tension = np.array([self._tensions(s, w) for s, w in zip(slope, wish, strict=True)])
-        command[ids] = np.clip(state.cable_travel[ids] - tension / self._servo_gain, -self._eta, 0)
+        travel = self._returns * state.cable_travel[ids]
+        pull = (tension - self._pretension) / self._servo_gain
+        command[ids] = np.clip(self._sign * (travel - pull), *self._range)
         return command
 
     def _predict(self, dynamics: Dynamics, period: float) -> tuple[Array, Array]:
@@ -149,8 +160,8 @@ class JacobianController(Controller):
         return implicit, force, rate, cables
 
     def _tensions(self, slope: Array, wish: Array) -> Array:
-        """Minimise |slope t - wish|^2 + regularization |t|^2 over 0 <= t <= gain eta."""
-        limit = self._servo_gain * self._eta
+        """Minimise |slope t - wish|^2 + regularization |t|^2 over 0 <= t <= the largest pull."""
+        limit = self._limit
         matrix = np.vstack([slope, np.sqrt(self.regularization) * np.eye(len(limit))])
         goal = np.concatenate([wish, np.zeros(len(limit))])
         tension, _ = nnls(matrix, goal)

@@ -9,7 +9,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cdcsr.envs.gym_env import TaskVectorEnv
-from cdcsr.robot.description import Robot
 from cdcsr.simulation.contract import State
 from controllers.controller import Conditions, Controller, Target
 from controllers.rollout import Rollout, rollout
@@ -60,12 +59,12 @@ class Nudged(Controller):
 
     def begin(self, conditions: Conditions) -> None:
         self._controller.begin(conditions)
-        self._eta, self._period = _eta(conditions.robot), conditions.period
+        self._range, self._period = conditions.robot.command_range, conditions.period
 
     def act(self, state: State, target: Target, time: Array) -> Array:
         actions = np.rint(np.nan_to_num(time) / self._period).astype(np.int64)
         offset = self._plans[np.arange(len(time)), actions // HOLD]
-        return np.clip(self._controller.act(state, target, time) + offset, -self._eta, 0)
+        return np.clip(self._controller.act(state, target, time) + offset, *self._range)
 
 
 def improve(
@@ -99,7 +98,7 @@ def improve(
     Returns:
         The outcome of the controller, and that of the best found.
     """
-    num, eta = env.num_envs, _eta(env.robot)
+    num, eta = env.num_envs, np.abs(env.robot.full_commands)
     rng = np.random.default_rng(seed)
     mean = np.zeros((-(-env.max_actions // HOLD), len(eta)))
     spread = np.broadcast_to(WIDTH * eta, mean.shape)
@@ -132,11 +131,6 @@ def improve(
 
 def _in_every_copy(plan: Array, num: int) -> Array:
     return np.broadcast_to(plan, (num, *plan.shape))
-
-
-def _eta(robot: Robot) -> Array:
-    """Return the range of the set-points, shape (C,), in [m]: they lie in [-eta, 0]."""
-    return np.array([servo.eta for servo in robot.servos])
 
 
 def _outcome(result: Rollout) -> Outcome:

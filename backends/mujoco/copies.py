@@ -28,8 +28,10 @@ def write_plant(many: batch.Batch, ids: NDArray[np.int64], plant: Plant) -> None
     many.expand("dof_damping")[ids, joints] = plant.damping
     if model.dof_armature.any():  # see stepping_spec
         armature[ids, joints] = model.opt.timestep * plant.damping
-    many.expand("actuator_gainprm")[ids, :, 0] = plant.servo_gain
-    many.expand("actuator_biasprm")[ids, :, 1] = -plant.servo_gain
+    sign = np.sign(model.actuator_gainprm[:, 0])
+    many.expand("actuator_gainprm")[ids, :, 0] = plant.servo_gain * sign
+    returns = model.actuator_biasprm[:, 1] != 0
+    many.expand("actuator_biasprm")[ids, :, 1] = -plant.servo_gain * returns
     # The softness of constraints depends on the masses; no other parameter here changes it.
     moved = (mass[ids] != before[0]).any(axis=1) | (inertia[ids] != before[1]).any(axis=(1, 2))
     moved |= (armature[ids] != before[2]).any(axis=1)

@@ -45,7 +45,7 @@ def _add_conveniences(spec: mujoco.MjSpec, robot: Robot) -> None:
     """Add what helps to use the file, and has no influence on the motion within the servos' range:
     that range, cameras, a target to move by hand, and the start as a keyframe."""
     for actuator, servo in zip(spec.actuators, robot.servos, strict=True):
-        actuator.ctrllimited, actuator.ctrlrange = True, [-servo.eta, 0.0]
+        actuator.ctrllimited, actuator.ctrlrange = True, sorted((servo.full, 0.0))
     for name in CAMERAS:
         azimuth, elevation = np.deg2rad(np.add(camera_angles(name), (90.0, 0.0)))
         right = np.array([np.sin(azimuth), -np.cos(azimuth), 0.0])

@@ -134,7 +134,7 @@ def _add_sliders(
             name=f"slide_{c}",
             type=mujoco.mjtJoint.mjJNT_SLIDE,
             axis=[0, 0, 1],
-            damping=servo.damping,
+            damping=servo.damping + servo.servo_damping(robot.time_step),
             limited=mujoco.mjtLimited.mjLIMITED_TRUE,
             range=[-UNLIMITED, servo.stop],
         )
@@ -241,6 +241,11 @@ def _add_cables(spec: mujoco.MjSpec, robot: Robot, route: Routing, guides: list[
             ctrllimited=mujoco.mjtLimited.mjLIMITED_FALSE,
         )
         actuator.set_to_position(kp=servo.gain)
+        actuator.gainprm = [servo.sign * servo.gain, *9 * [0.0]]
+        actuator.biasprm = [-servo.pretension, -servo.stiffness, *8 * [0.0]]
+        if servo.force_limit is not None:
+            actuator.forcelimited = True
+            actuator.forcerange = [-servo.force_limit, servo.force_limit]
 
 
 def _add_couplings(spec: mujoco.MjSpec, robot: Robot) -> None:

@@ -304,7 +304,7 @@ class MujocoSimulation(BatchSimulation):
 
     engine = "mujoco"
     title = "MuJoCo"
-    capabilities = frozenset({"render", "bit_exact", "elastic_cables"})
+    capabilities = frozenset({"render", "bit_exact", "elastic_cables", "servo_kinds"})
     physics = Physics(
         joint_dynamics="MuJoCo's",
         integration="MuJoCo's Euler, semi-implicit",

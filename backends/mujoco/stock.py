@@ -40,7 +40,9 @@ class MujocoStock(BatchSimulation):
     engine = "mujoco-stock"
     title = "MuJoCo, stock"
     variant_of = "mujoco"
-    capabilities = frozenset({"render", "bit_exact", "soft_cables", "elastic_cables"})
+    capabilities = frozenset(
+        {"render", "bit_exact", "soft_cables", "elastic_cables", "servo_kinds"}
+    )
     options_type = StockOptions
     physics = Physics(
         joint_dynamics="MuJoCo's",

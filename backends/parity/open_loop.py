@@ -203,8 +203,11 @@ def open_loop(
         name: np.stack([run(make, parts) for parts in REFINEMENTS])
         for name, make in engines.items()
     }
-    eta = np.array([servo.eta for servo in robot.servos])
-    disturbance = DISTURBANCE * eta * np.random.default_rng(0).normal(size=commands.values.shape)
+    disturbance = (
+        DISTURBANCE
+        * np.abs(robot.full_commands)
+        * np.random.default_rng(0).normal(size=commands.values.shape)
+    )
     disturbed = run(engines[first], 1, commands.values + disturbance)
     moved = {
         name: np.linalg.norm(run(make, 1) - tips[engine][0], axis=-1)

@@ -37,8 +37,7 @@ def random_commands(
     robot: Robot, episodes: int, seed: int, steps: int = Reach.max_steps
 ) -> Commands:
     """Draw set-points that are uniform over the whole range, each held for ten steps."""
-    eta = np.array([servo.eta for servo in robot.servos])
-    draws = -eta * np.random.default_rng(seed).random(
+    draws = robot.full_commands * np.random.default_rng(seed).random(
         (episodes, -(-steps // _HOLD), robot.num_cables)
     )
     values = np.repeat(draws, _HOLD, axis=1)[:, :steps]

@@ -50,7 +50,7 @@ def step_cost(robot: Robot) -> tuple[float, float]:
     client = connect(robot)
     load_robot_body(robot, client)
     random = np.random.default_rng(0)
-    commands = random.uniform(-robot.servos[0].eta, 0.0, (_ROUNDS, 1, robot.num_cables))
+    commands = robot.full_commands * random.random((_ROUNDS, 1, robot.num_cables))
     simulation.step(commands[0], _EACH)  # the first step compiles
     whole, bare = [], []
     for command in commands:

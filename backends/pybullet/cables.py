@@ -194,6 +194,13 @@ def _fill_mass(whole: Array, mass: Array, stiff: Array) -> None:
 
 
 @compiled()
+def _servo_forces(rig: Rig, gain: Array, command: Array, travel: Array) -> Array:
+    """Return the forces of the servos on their sliders, shape (C,), in [N]."""
+    force = gain * (rig.sign * command - rig.returns * travel) - rig.pretension
+    return np.minimum(np.maximum(force, -rig.force_limit), rig.force_limit)
+
+
+@compiled()
 def joint_forces(
     rig: Rig,
     plant: Plant,
@@ -218,7 +225,7 @@ def joint_forces(
         bias: shape (nv,).
         joints: positions of sliders and hinges, shape (C + H,), in [m] and [rad].
         velocity: of sliders and hinges, shape (C + H,), in [m/s] and [rad/s].
-        command: servo set-points, shape (C,), in [m].
+        command: of the servos, shape (C,), in [m] or [N].
         step: h in [s].
         tension: shape (C,), in [N]; replaced. The old ones are a first guess of which cables pull.
         servo: filled with the servos' forces on the sliders, shape (C,), in [N].
@@ -228,7 +235,7 @@ def joint_forces(
     """
     cables, size = tension.size, mass.shape[0]
     hinges = joints[cables:]
-    servo[:] = plant.servo_gain[copy] * (command - joints[:cables])
+    servo[:] = _servo_forces(rig, plant.servo_gain[copy], command, joints[:cables])
     force[:cables] = 0.0
     force[cables:] = -plant.stiffness[copy] * (hinges - rig.rest)
 

@@ -1,4 +1,4 @@
-"""Drive the robot beside this file in plain PyBullet: python drive_pybullet.py STEPS SETPOINT ...
+"""Drive the robot beside this file in plain PyBullet: python drive_pybullet.py STEPS COMMAND ...
 
 Stiff springs with dampers stand in for the cables that URDF lacks. The tip's place is printed.
 """
@@ -10,9 +10,11 @@ from pathlib import Path
 import numpy as np
 import pybullet as p
 
+NO_TURN = (0, 0, 0, 1)
 
-def drive(folder: Path, steps: int, setpoints: list[float]) -> np.ndarray:
-    """Hold set-points in [m] for some time steps; return the tip's place in [m], shape (3,)."""
+
+def drive(folder: Path, steps: int, commands: list[float]) -> np.ndarray:
+    """Hold commands in [m] or [N] for some steps; return the tip's place in [m], shape (3,)."""
     data = json.loads((folder / "cables.json").read_text(encoding="utf-8"))
     cables, hinges, step = data["cables"], data["hinges"], data["time_step"] / 10
     p.setTimeStep(step, physicsClientId=p.connect(p.DIRECT))
@@ -31,38 +33,41 @@ def drive(folder: Path, steps: int, setpoints: list[float]) -> np.ndarray:
         a, b = names.index(leader), names.index(follower)
         gear = p.createConstraint(robot, a, robot, b, p.JOINT_GEAR, [0, 1, 0], [0] * 3, [0] * 3)
         p.changeConstraint(gear, gearRatio=-1, maxForce=1e6)
-    spring = np.array([hinges[name]["stiffness"] if name in hinges else 0.0 for name in names])
-    target = np.array([hinges[name]["rest"] if name in hinges else 0.0 for name in names])
-    p.resetJointStatesMultiDof(robot, numbers, [[angle] for angle in target])
-    spring[slider], target[slider] = [cable["servo"]["gain"] for cable in cables], setpoints
-    mass = [p.getDynamicsInfo(robot, i)[0] for i in slider]
-    owner = [[slider[i]] + [link[g["link"]] for g in c["guides"]] for i, c in enumerate(cables)]
-    points = [np.array([[0, 0, 0]] + [g["xyz"] for g in c["guides"]]) for c in cables]
-    before, tip = [cable["rest_length"] for cable in cables], np.zeros(3)
-    for _ in range(10 * steps + 1):
+    hinge = [hinges.get(name, {"stiffness": 0.0, "rest": 0.0}) for name in names]
+    spring, rest = (np.array([each[key] for each in hinge]) for key in ("stiffness", "rest"))
+    p.resetJointStatesMultiDof(robot, numbers, [[angle] for angle in rest])
+    if any(c["servo"]["kind"] == "displacement" for c in cables):
+        sys.exit("This script drives no displacement servos; Bullet's dampers are explicit.")
+    keys = "force_by_command", "stiffness", "pretension", "force_limit"
+    gain, spring[slider], pretension, most = np.array(
+        [[c["servo"][key] for c in cables] for key in keys]
+    )
+    guides = [[(link[g["link"]], g["xyz"]) for g in cable["guides"]] for cable in cables]
+    guides = [[(slider[c], [0, 0, 0]), *each] for c, each in enumerate(guides)]
+    before = [cable["rest_length"] for cable in cables]
+    for _ in range(10 * steps):
         states = p.getLinkStates(robot, numbers, computeForwardKinematics=1)
         frames = [s[4:6] for s in states] + [p.getBasePositionAndOrientation(robot)]
-        turn = np.array([np.reshape(p.getMatrixFromQuaternion(q), (3, 3)) for _, q in frames])
-        origin, last = np.array([at for at, _ in frames]), link[data["tip"]["link"]]
-        tip = origin[last] + turn[last] @ data["tip"]["xyz"]
-        force = spring * (target - [state[0] for state in p.getJointStates(robot, numbers)])
+        force = spring * (rest - [state[0] for state in p.getJointStates(robot, numbers)])
+        force[slider] = np.clip(force[slider] + gain * commands - pretension, -most, most)
         p.setJointMotorControlArray(robot, numbers, p.TORQUE_CONTROL, forces=force)
         for c, cable in enumerate(cables):
-            path = origin[owner[c]] + np.einsum("nij,nj->ni", turn[owner[c]], points[c])
+            path = [p.multiplyTransforms(*frames[b], x, NO_TURN)[0] for b, x in guides[c]]
             along = np.diff(path, axis=0)
             along[1] *= not cable["sheath"]  # which keeps its length
             length = np.linalg.norm(along, axis=1)
             excess, rate = length.sum() - cable["rest_length"], (length.sum() - before[c]) / step
-            before[c], stiff = length.sum(), mass[c] / step**2
+            before[c], stiff = length.sum(), cable["servo"]["mass"] / step**2
             soft = cable["strain_by_tension"] * cable["rest_length"]  # of an elastic cable, [m/N]
             elastic, damper = min(stiff / 4, 1 / soft if soft else np.inf), 0 if soft else stiff / 2
             tension = max(0, elastic * excess + damper * step * rate) * (excess > 0)
             along /= np.maximum(length, 1e-12)[:, None]
             pulls = tension * np.diff(along, axis=0, prepend=0, append=0)
-            for body, pull, point in zip(owner[c], pulls, path, strict=True):
+            for (body, _), pull, point in zip(guides[c], pulls, path, strict=True):
                 p.applyExternalForce(robot, body, pull, point, p.WORLD_FRAME)
         p.stepSimulation()
-    return tip
+    last = p.getLinkState(robot, link[data["tip"]["link"]], computeForwardKinematics=1)
+    return np.array(p.multiplyTransforms(*last[4:6], data["tip"]["xyz"], NO_TURN)[0])
 
 
 if __name__ == "__main__":

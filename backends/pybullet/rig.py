@@ -57,6 +57,14 @@ class Rig(NamedTuple):
     each hinge in [rad], shape (C + H,)."""
     upper: Array
     """The largest travel of each slider in [m], then angle of each hinge in [rad], (C + H,)."""
+    sign: Array
+    """Minus one for a servo whose commands are tensions, else one; shape (C,)."""
+    returns: Array
+    """One for a servo whose force falls as its slider moves, else zero; shape (C,)."""
+    pretension: Array
+    """Shape (C,), in [N]."""
+    force_limit: Array
+    """The largest force of each servo, shape (C,), in [N]."""
     coupled: NDArray[np.bool_]
     """Whether a hinge always has the angle of others, shape (H,)."""
     leader: NDArray[np.int64]
@@ -86,6 +94,10 @@ def rig(robot: Robot) -> Rig:
         rest=np.array(robot.start_angles),
         lower=np.array([-np.inf] * robot.num_cables + [h.lower for h in robot.hinges]),
         upper=np.array([s.stop for s in robot.servos] + [h.upper for h in robot.hinges]),
+        sign=np.array([s.sign for s in robot.servos]),
+        returns=np.array([float(servo.stiffness > 0) for servo in robot.servos]),
+        pretension=np.array([servo.pretension for servo in robot.servos]),
+        force_limit=np.array([servo.force_limit or np.inf for servo in robot.servos]),
         coupled=np.isin(leaders, leaders[leaders != np.arange(len(leaders))]),
         leader=leaders,
         recovery_time=robot.constraint.recovery_time,

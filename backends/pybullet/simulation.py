@@ -58,7 +58,9 @@ class PybulletSimulation(Simulation):
 
     engine: ClassVar[str] = "pybullet"
     title: ClassVar[str] = "PyBullet"
-    capabilities: ClassVar[frozenset[Capability]] = frozenset({"render", "elastic_cables"})
+    capabilities: ClassVar[frozenset[Capability]] = frozenset(
+        {"render", "elastic_cables", "servo_kinds"}
+    )
     copy_memory = 4e6
     options_type: ClassVar[type[EngineOptions]] = PybulletOptions
     version: ClassVar[str] = package_version("pybullet")
@@ -82,6 +84,12 @@ class PybulletSimulation(Simulation):
         super().__init__(robot, num, options)
         assert isinstance(self.options, PybulletOptions)
         self._options = self.options
+        plain = all(s.kind == "set-point" and not s.pretension for s in robot.servos)
+        if self._options.servo == "motor" and not plain:
+            raise CdcsrError(
+                f"Bullet's position motors are set-point servos without pretension, and those of "
+                f"{robot.name!r} are not; write {self.engine}:servo=force."
+            )
         if workers is None:
             workers = min(processors(), -(-num // COPIES_PER_WORKER)) if num >= POOL_FROM else 0
             workers = workers if workers > 1 else 0

@@ -60,7 +60,8 @@ def urdf(robot: Robot, mesh_files: Mapping[str, str] | None = None, world: bool 
         name, moment = f"slider_{c}", 0.4 * servo.mass * servo.radius**2
         ball = ("sphere", {"radius": _text(servo.radius)})
         model.link(name, servo.mass, (moment, moment, moment), ball, share(METAL))
-        joint = ("prismatic", "0 0 1", (-UNLIMITED, servo.stop), servo.damping)
+        damping = servo.damping + servo.servo_damping(robot.time_step)
+        joint = ("prismatic", "0 0 1", (-UNLIMITED, servo.stop), damping)
         model.joint(f"slide_{c}", joint, "base", name, tuple(place))
 
     segment_of = [s for s, segment in enumerate(robot.segments) for _ in range(segment.links)]
@@ -183,7 +184,15 @@ def cable_file(robot: Robot) -> dict[str, object]:
                 "sheath": bool(route.first[c]),
                 "rest_length": float(route.rest_length[c]),
                 "strain_by_tension": robot.strain_by_tension[c],
-                "servo": {"gain": servo.gain, "damping": servo.damping, "eta": servo.eta},
+                "servo": {
+                    "kind": servo.kind,
+                    "mass": servo.mass,
+                    "full_command": servo.full,
+                    "force_by_command": servo.sign * servo.gain,
+                    "stiffness": servo.stiffness,
+                    "pretension": servo.pretension,
+                    "force_limit": UNLIMITED if servo.force_limit is None else servo.force_limit,
+                },
             }
         )
     hinges = {

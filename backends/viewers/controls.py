@@ -102,9 +102,11 @@ class Controls:
         self._driver = gui.add_dropdown("driver", driving.names, initial_value=driving.name)
         self._on_change(self._driver, self._drive)
         self._pulls = []
-        for n, eta in enumerate(driving.eta.tolist()):
-            pull = gui.add_slider(f"cable {n + 1} [m]", 0.0, eta, eta / _PULLS, 0.0)
-            self._on_change(pull, lambda value, n=n: driving.pull(n, -value))
+        for n, full in enumerate(driving.full.tolist()):
+            sign = 1.0 if full > 0 else -1.0
+            name = f"cable {n + 1} [{driving.units[n]}]"
+            pull = gui.add_slider(name, 0.0, abs(full), abs(full) / _PULLS, 0.0)
+            self._on_change(pull, lambda value, n=n, sign=sign: driving.pull(n, sign * value))
             self._pulls.append(pull)
 
     def _add_episodes(self) -> None:
@@ -185,7 +187,7 @@ class Controls:
         if driving.name != HAND or self._fresh:
             self._fresh = False
             for pull, set_point in zip(self._pulls, driving.command, strict=True):
-                pull.value = float(-set_point)
+                pull.value = float(abs(set_point))
         if self._target is not session.target:
             self._target = session.target
             self._handle.position = session.target

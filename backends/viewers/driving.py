@@ -72,7 +72,9 @@ class Driving:
     def __init__(self, robot: Robot, drivers: Sequence[Driver], episodes: Sequence[Shown]) -> None:
         self.drivers = {driver.name: driver for driver in drivers}
         self.episodes, self.chosen, self.name = list(episodes), 0, HAND
-        self.eta = np.array([servo.eta for servo in robot.servos])
+        self.full = robot.full_commands
+        self.lowest, self.highest = robot.command_range
+        self.units = [servo.unit for servo in robot.servos]
         self.command, self._period = np.zeros(robot.num_cables), robot.time_step
         self._begun = 0
 
@@ -83,17 +85,17 @@ class Driving:
         return [HAND, *self.drivers, *([RECORDING] if recorded else [])]
 
     def pull(self, cable: int, set_point: float) -> None:
-        """Set the set-point of one cable, in [m]; from then on the user's hand drives.
+        """Set the command of one cable, in [m] or [N]; from then on the user's hand drives.
 
         Raises:
             CdcsrError: there is no such cable, or the set-point is out of its range.
         """
-        if not 0 <= cable < len(self.eta):
-            raise CdcsrError(f"There is no cable {cable + 1}; there are {len(self.eta)}.")
-        if not -self.eta[cable] - 1e-9 <= set_point <= 0:
+        if not 0 <= cable < len(self.full):
+            raise CdcsrError(f"There is no cable {cable + 1}; there are {len(self.full)}.")
+        if not self.lowest[cable] - 1e-9 <= set_point <= self.highest[cable] + 1e-9:
             raise CdcsrError(
-                f"The set-point of cable {cable + 1} lies from {-self.eta[cable]:g} m to 0; found "
-                f"{set_point:g} m."
+                f"The set-point of cable {cable + 1} lies from {self.full[cable]:g} "
+                f"{self.units[cable]} to 0; found {set_point:g} {self.units[cable]}."
             )
         self.name, self.command = HAND, self.command.copy()
         self.command[cable] = set_point
@@ -159,12 +161,12 @@ class Driving:
             if episode.commands is None:
                 return 0
             index = min(since // episode.hold, len(episode.commands) - 1)
-            self.command = np.clip(episode.commands[index], -self.eta, 0.0)
+            self.command = np.clip(episode.commands[index], self.lowest, self.highest)
             return episode.hold - since % episode.hold
         if self.name in self.drivers:
             driver = self.drivers[self.name]
             if since % driver.frame_skip == 0:
                 command = driver.act(target, since * self._period)
-                self.command = np.clip(command, -self.eta, 0.0)
+                self.command = np.clip(command, self.lowest, self.highest)
             return driver.frame_skip - since % driver.frame_skip
         return 0

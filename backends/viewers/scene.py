@@ -49,7 +49,7 @@ class EngineScene:
         space: Space | None = None,
     ) -> None:
         self._robot, self._paths, scene = robot, CablePaths(robot), server.scene
-        self._most = np.array([servo.gain * servo.eta for servo in robot.servos])
+        self._most = np.array([servo.pull for servo in robot.servos])
         meshes, parts = visual_meshes(robot), link_parts(robot)
         self.origin = np.array([0.0, 1.1 * number * np.ptp(meshes["base"].bounds[:, 1]), 0.0])
         name = f"/engine{number}"

@@ -129,14 +129,12 @@ class TaskVectorEnv(VectorEnv[Array, Array, NDArray[np.generic]]):
     def _set_gym_attributes(self, num_envs: int, mode: AutoresetMode) -> None:
         """Set what Gymnasium asks of every vector environment."""
         self.num_envs = num_envs
-        self._eta = np.array([servo.eta for servo in self.robot.servos])
+        self._lowest, self._highest = self.robot.command_range
         self._shape = (num_envs, self.robot.num_cables)
         self.single_observation_space = gym.spaces.Box(
             -np.inf, np.inf, (observation_size(self.robot),), np.float64
         )
-        self.single_action_space = gym.spaces.Box(
-            -self._eta, np.zeros_like(self._eta), dtype=np.float64
-        )
+        self.single_action_space = gym.spaces.Box(self._lowest, self._highest, dtype=np.float64)
         self.observation_space = batch_space(self.single_observation_space, num_envs)
         self.action_space = batch_space(self.single_action_space, num_envs)
         self.metadata = {"autoreset_mode": mode, "render_modes": []}
@@ -212,7 +210,7 @@ class TaskVectorEnv(VectorEnv[Array, Array, NDArray[np.generic]]):
         `divergence` why.
 
         Args:
-            actions: servo set-points, shape (num_envs, C), in [m]; clipped to [-eta, 0].
+            actions: commands of the servos, shape (num_envs, C), clipped to their range.
 
         Returns:
             Observation, reward, terminated, truncated and info; their first axis is the robot.
@@ -223,7 +221,8 @@ class TaskVectorEnv(VectorEnv[Array, Array, NDArray[np.generic]]):
         if not self._begun:
             raise CdcsrError("Call reset() before the first step().")
         command = self._channel.command(as_floats("actions", actions, self._shape))
-        command = np.minimum(np.maximum(command, -self._eta), 0)  # three times as fast as np.clip
+        # Three times as fast as np.clip.
+        command = np.minimum(np.maximum(command, self._lowest), self._highest)
         lost, fresh = self._advance(command), self._ended
         self._episodes.advance(self.frame_skip, self.robot.time_step)
         state = self.simulation.state()

@@ -19,12 +19,12 @@ import tomllib
 from collections.abc import Iterator
 from importlib import resources
 from pathlib import Path
-from typing import Annotated, Literal, Self
+from typing import Annotated, Self
 
 import numpy as np
 import tomli_w
+from numpy.typing import NDArray
 from pydantic import (
-    AfterValidator,
     Field,
     ModelWrapValidatorHandler,
     Strict,
@@ -35,13 +35,10 @@ from pydantic_core import InitErrorDetails
 
 from cdcsr.errors import CdcsrError, unknown_choice
 from cdcsr.reading import MOST_TEXT, read_text
-from cdcsr.robot.mesh_files import MeshName
 from cdcsr.robot.parts import (
     Hinge,
-    Inertia,
     Joint,
     Link,
-    NonNegative,
     Part,
     Positive,
     Vector,
@@ -49,66 +46,10 @@ from cdcsr.robot.parts import (
 )
 from cdcsr.robot.scale import Scale
 from cdcsr.robot.section_rules import errors_between_sections
-from cdcsr.robot.segments import Segment, Servo
+from cdcsr.robot.sections import Base, Constraint, MujocoOptions, Workspace
+from cdcsr.robot.segments import Segment
+from cdcsr.robot.servo import Servo
 from cdcsr.robot.toml_errors import describe_all, report_again, without_echoes
-
-
-def _unit(quaternion: tuple[float, float, float, float]) -> tuple[float, float, float, float]:
-    """Check that a quaternion has the length 1."""
-    if abs(np.linalg.norm(quaternion) - 1) > 1e-6:
-        raise ValueError("must have the length 1")
-    return quaternion
-
-
-class Base(Part):
-    """The base: a box. At the start its centre is the world origin, unless it says otherwise."""
-
-    later = ("mount", "position", "quaternion", "mesh")
-    size: Annotated[tuple[Positive, Positive, Positive], Strict(False)]
-    """Edge lengths along x, y, z in [m]."""
-    mass: Positive
-    """Mass in [kg], sliders not included."""
-    inertia: Inertia
-    """Principal moments about the centre in [kg m^2]."""
-    mount: Literal["free", "fixed"] = "free"
-    """A free base floats; a fixed one never moves, and its mass and inertia have no effect."""
-    position: Vector = (0.0, 0.0, 0.0)
-    """Its centre at the start, in the world frame, in [m]."""
-    quaternion: Annotated[
-        tuple[float, float, float, float], Strict(False), AfterValidator(_unit)
-    ] = (1.0, 0.0, 0.0, 0.0)
-    """How it is turned at the start, w-x-y-z."""
-    mesh: MeshName | None = None
-    """Its look: a mesh file in [m], origin at its centre."""
-
-
-class Constraint(Part):
-    """Unilateral constraints: cables, never longer than at rest, and hinge limits."""
-
-    recovery_time: Positive
-    """The time constant with which an excess of length or angle decays, in [s]; at least two time
-    steps."""
-
-
-class Workspace(Part):
-    """The cuboid of the Anchor Space, where the robot works."""
-
-    center: Vector
-    """In the world frame, in [m]."""
-    size: Annotated[tuple[NonNegative, NonNegative, NonNegative], Strict(False)]
-    """Edge lengths in [m]; zero for a plane or a line."""
-
-
-class MujocoOptions(Part):
-    """Numbers that only MuJoCo reads."""
-
-    integrator: Literal["implicitfast", "implicit", "Euler"] = "implicitfast"
-    """The integrator in the model files, for stock MuJoCo. The simulation does not read it: there
-    dampers are implicit, and nothing else is."""
-    impedance: Annotated[float, Field(gt=0, lt=1)] = 0.999
-    """Impedance (solimp dmin = dmax) of hinge limits and, in the model files, of cables; 1 is
-    rigid. Too close to 1, a taut cable of the model files that shortens by nanometres is slack for
-    a step, in which nothing holds its slider."""
 
 
 class Robot(Part):
@@ -200,6 +141,16 @@ class Robot(Part):
     def servos(self) -> tuple[Servo, ...]:
         """The servo of each cable, segment by segment."""
         return tuple(s.servo for s in self.segments for _ in s.cable_angles)
+
+    @property
+    def full_commands(self) -> NDArray[np.float64]:
+        """The command of each servo at its largest pull, shape (C,), in [m] or [N]."""
+        return np.array([servo.full for servo in self.servos], dtype=float)
+
+    @property
+    def command_range(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """The lowest and the highest command of each servo, shape (C,): from zero to full."""
+        return np.minimum(self.full_commands, 0.0), np.maximum(self.full_commands, 0.0)
 
     @property
     def strain_by_tension(self) -> tuple[float, ...]:

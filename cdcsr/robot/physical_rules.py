@@ -18,7 +18,7 @@ range of double precision."""
 _NOT_TINY = {
     *("time_step", "recovery_time", "links", "length", "radius", "mass", "inertia", "size"),
     *("pitch_radius", "guide_offset", "gain", "eta", "offset", "youngs_modulus", "density"),
-    "axial_stiffness",
+    *("axial_stiffness", "force_limit", "largest_tension"),
 }
 """The keys whose numbers have a lower bound above zero."""
 _RANGES: dict[str, tuple[float, float]] = {

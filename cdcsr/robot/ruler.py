@@ -74,7 +74,7 @@ def _ruler(key: Hashable) -> Ruler:
     pace = rounded((given.time or answer_time(robot)) / _ANSWER_TIME)
     speed = size / pace
     radius = max((s.cables.pitch_radius for s in robot.segments if s.cable_angles), default=0.02)
-    pull = max((servo.gain * servo.eta for servo in robot.servos), default=_PULL)
+    pull = max((servo.pull for servo in robot.servos), default=_PULL)
     seconds = given.seconds or rounded(0.625 * pace)
     return Ruler(
         size=size,
@@ -130,13 +130,13 @@ def answer_time(robot: Robot) -> float:
     dampers[hinges:] = [joint.damping for _, joint in robot.links]
     along = np.outer(arm, arm)
     mass = mass + servo.mass * along
-    damping = np.diag(dampers) + servo.damping * along
-    stiffness = np.diag(springs) + servo.gain * along
+    damping = np.diag(dampers) + (servo.damping + servo.servo_damping(0.0)) * along
+    stiffness = np.diag(springs) + servo.stiffness * along
     free = _free_motions(robot, hinges)
     if free is not None:
         mass, damping, stiffness = (free.T @ part @ free for part in (mass, damping, stiffness))
         arm, tip = arm @ free, tip @ free
-    times, moved = _pulled(mass, damping, stiffness, servo.gain * servo.eta * arm, tip)
+    times, moved = _pulled(mass, damping, stiffness, servo.pull * arm, tip)
     goal = min(_FAR * robot.arm_length, 0.63 * moved.max())
     after = int(np.argmax(moved >= goal))
     return float(np.interp(goal, moved[after - 1 : after + 1], times[after - 1 : after + 1]))

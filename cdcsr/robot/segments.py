@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Annotated, Literal, Self, TypeVar
+from typing import Annotated, Literal, Self
 
 from pydantic import Field, Strict, ValidationError, model_validator
 
 from cdcsr.errors import CdcsrError
-from cdcsr.robot.parts import Backbone, Joint, Link, NonNegative, Part, Positive
-
-_Section = TypeVar("_Section", bound=Part)
+from cdcsr.robot.backbone import Backbone
+from cdcsr.robot.parts import Joint, Link, Part, Positive, there
+from cdcsr.robot.servo import Servo
 
 
 class Path(Part):
@@ -76,28 +76,6 @@ class Cables(Part):
         """The largest distance of a cable from the axis, in [m]."""
         radii = [(way.pitch_radius, way.end_pitch_radius) for way in self.ways]
         return max(self.pitch_radius, *(radius or 0.0 for pair in radii for radius in pair))
-
-
-class Servo(Part):
-    """The slider that pulls one cable, and the position servo that moves it."""
-
-    mass: Positive
-    """Mass of the slider in [kg]."""
-    damping: NonNegative
-    """Viscous friction of the slider in [N s/m]."""
-    gain: Positive
-    """Servo force per set-point error in [N/m]."""
-    eta: Positive
-    """Largest pull: set-points lie in [-eta, 0], in [m]."""
-    radius: Positive
-    """The slider is a solid ball of this radius, in [m]."""
-    offset: Positive
-    """Distance of the slider at rest below the cable's first guide, in [m]; above its radius."""
-
-    @property
-    def stop(self) -> float:
-        """The travel at which the slider touches the cable's first guide and stops, in [m]."""
-        return self.offset - self.radius
 
 
 class Taper(Part):
@@ -185,8 +163,8 @@ class Segment(Part):
     def _check_stretch(self) -> None:
         if self.own_cables is None or self.own_servo is None:
             return
-        stiffness, pull = self.own_cables.axial_stiffness, self.own_servo.gain * self.own_servo.eta
-        if stiffness is not None and stiffness < pull:
+        stiffness, pull = self.own_cables.axial_stiffness, self.own_servo.pull
+        if stiffness is not None and stiffness < pull and self.own_servo.kind != "displacement":
             raise ValueError(
                 f"cables.axial_stiffness must be at least the largest pull ({pull:g} N), under "
                 "which a cable is twice as long as at rest"
@@ -239,12 +217,12 @@ class Segment(Part):
     @property
     def cables(self) -> Cables:
         """The cables of a segment that is not passive."""
-        return _there(self.own_cables, "cables: it is passive")
+        return there(self.own_cables, "cables: it is passive")
 
     @property
     def servo(self) -> Servo:
         """The servo of each cable of a segment that is not passive."""
-        return _there(self.own_servo, "servo: it is passive")
+        return there(self.own_servo, "servo: it is passive")
 
     @property
     def cable_angles(self) -> tuple[float, ...]:
@@ -261,8 +239,7 @@ class Segment(Part):
         """Its links with their joints, without the next segment's stub."""
         if self.own_chain:
             return [
-                (link.link, link.joint or _there(self.own_joint, "joint"))
-                for link in self.own_chain
+                (link.link, link.joint or there(self.own_joint, "joint")) for link in self.own_chain
             ]
         if self.backbone is None:
             return self._equal_links
@@ -275,15 +252,9 @@ class Segment(Part):
 
     @property
     def _equal_links(self) -> list[tuple[Link, Joint]]:
-        link, joint = _there(self.own_link, "link"), _there(self.own_joint, "joint")
+        link, joint = there(self.own_link, "link"), there(self.own_joint, "joint")
         if self.taper is None or self.links == 1:
             return [(link, joint)] * self.links
         along = [n / (self.links - 1) for n in range(self.links)]
         radius, mass = self.taper.radius - 1, self.taper.mass - 1
         return [(link.scaled(1 + radius * part, 1 + mass * part), joint) for part in along]
-
-
-def _there(part: _Section | None, name: str) -> _Section:
-    if part is None:
-        raise CdcsrError(f"This segment has no {name}.")
-    return part

@@ -60,7 +60,9 @@ def stable_step(robot: Robot) -> float:
     base = robot.base.inertia if robot.base.mount == "free" else 3 * (_IMMOVABLE,)
     bodies = [base] + [link.inertia for link, _ in robot.links]
     passing = robot.num_cables  # a cable that is held stiffens each hinge that it passes
-    pull = max((servo.gain for servo in robot.servos), default=0.0)
+    # A servo with a damper of its own is implicit.
+    springs = [(0.0 if s.servo_damping(1.0) else s.stiffness, s.mass) for s in robot.servos]
+    pull = max((spring for spring, _ in springs), default=0.0)
     radius = max((s.cables.widest for s in robot.segments if s.cable_angles), default=0.0)
     for (lower, upper), (_, joint) in zip(pairwise(bodies), robot.links, strict=True):
         furthest = max(max(hinge.upper, -hinge.lower) for hinge in joint.hinges)
@@ -74,6 +76,6 @@ def stable_step(robot: Robot) -> float:
         if joint.torsion is not None:
             twist = 4 * joint.torsion.stiffness
             fastest = max(fastest, twist * (1 / lower[2] + 1 / upper[2]))
-    for servo in robot.servos:
-        fastest = max(fastest, servo.gain / servo.mass)
+    for spring, mass in springs:
+        fastest = max(fastest, spring / mass)
     return 2 / sqrt(fastest) if fastest else inf

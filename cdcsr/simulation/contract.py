@@ -41,9 +41,9 @@ Ids = Sequence[int] | NDArray[np.integer] | NDArray[np.bool_] | None
 class Simulation(ABC):
     """`num` copies of a robot in one engine; they start still, with hinges at their rest angles.
 
-    Commands are servo set-points, shape (num, C), in [-eta, 0] m. Engines do not clip them. After
-    `close()` all else raises :class:`CdcsrError`. What `copy` and `pickle` make is its own. Several
-    threads may call one simulation; calls wait for each other.
+    Commands, shape (num, C), are as :class:`cdcsr.robot.servo.Servo` says; engines do not clip
+    them. After `close()` all else raises :class:`CdcsrError`. What `copy` and `pickle` make is its
+    own. Several threads may call one simulation; calls wait for each other.
 
     Args:
         robot: the description.
@@ -79,7 +79,7 @@ class Simulation(ABC):
         self.robot, self.num = robot, num
         self.options = options or self.options_type()
         self.plant: Plant = Parameters().plant(robot, num)
-        check_abilities(self.engine, self.capabilities, self.plant)
+        check_abilities(self.engine, self.capabilities, robot, self.plant)
         self.loads = Loads(robot, num)
         self._closed = False
         self._line = DelayLine(num, robot.num_cables)
@@ -105,7 +105,7 @@ class Simulation(ABC):
         """
         chosen = self._chosen(ids)
         plant, delay = parameters.plant(self.robot, len(chosen)), parameters.delay(len(chosen))
-        check_abilities(self.engine, self.capabilities, plant)
+        check_abilities(self.engine, self.capabilities, self.robot, plant)
         for mine, new in zip(self.plant, plant, strict=True):
             mine[chosen] = new
         self._line.set_delay(chosen, delay)
@@ -223,8 +223,8 @@ class Simulation(ABC):
         size = self.robot.num_coordinates
         as_floats("The snapshot's position", snapshot.position, (self.num, size + 1), finite=False)
         as_floats("The snapshot's velocity", snapshot.velocity, (self.num, size), finite=False)
-        none = np.zeros((self.num, 0, self.robot.num_cables))
-        self._line.sent = none if snapshot.commands is None else snapshot.commands
+        sent = snapshot.commands
+        self._line.sent = np.zeros((self.num, 0, self.robot.num_cables)) if sent is None else sent
         try:
             self._set_snapshot(snapshot)
         except ValueError as error:
@@ -261,12 +261,8 @@ class Simulation(ABC):
 
     def __reduce__(self) -> tuple[object, ...]:
         self._check_open()
-        changed = any(
-            (mine != described).any()
-            for mine, described in zip(
-                self.plant, Parameters().plant(self.robot, self.num), strict=True
-            )
-        )
+        described = Parameters().plant(self.robot, self.num)
+        changed = any((own != of).any() for own, of in zip(self.plant, described, strict=True))
         plant = self.plant if changed else None
         parts = type(self), self.robot, self.num, self.options, plant, self._line, self.loads
         return rebuild, (*parts, self._get_snapshot())
@@ -314,8 +310,8 @@ class Simulation(ABC):
 
     def _diverged(self, copies: Sequence[int], time: float, what: str) -> Diverged:
         """Return the error of copies that diverged, the first at a time in [s]."""
-        remedy = f"springs are stable below a time_step of {stable_step(self.robot):.2g} s"
-        return Diverged(self.engine, copies[0], time, f"{what}; {remedy}", copies)
+        what += f"; springs are stable below a time_step of {stable_step(self.robot):.2g} s"
+        return Diverged(self.engine, copies[0], time, what, copies)
 
     def _check_open(self) -> None:
         if self._closed:

@@ -8,16 +8,20 @@ from typing import Literal
 from pydantic import BaseModel, ConfigDict
 
 from cdcsr.errors import CdcsrError
+from cdcsr.robot.description import Robot
 from cdcsr.simulation.plant import Plant
 
-Capability = Literal["render", "bit_exact", "soft_cables", "elastic_cables"]
+Capability = Literal["render", "bit_exact", "soft_cables", "elastic_cables", "servo_kinds"]
 """An ability that only some engines have. render: it has its own camera. bit_exact: the same
 commands give the same bits, also after a snapshot. soft_cables: cables under tension are longer
-than at rest, by millimetres. elastic_cables: cables can be springs, by their axial stiffness."""
+than at rest, by millimetres. elastic_cables: cables can be springs, by their axial stiffness.
+servo_kinds: servos can be of any kind, with a force limit and a pretension."""
 
 
-def check_abilities(engine: str, abilities: frozenset[Capability], plant: Plant) -> None:
-    """Check that an engine has the abilities that a plant needs.
+def check_abilities(
+    engine: str, abilities: frozenset[Capability], robot: Robot, plant: Plant
+) -> None:
+    """Check that an engine has the abilities that a robot and its plant need.
 
     Raises:
         CdcsrError: it lacks one.
@@ -26,6 +30,12 @@ def check_abilities(engine: str, abilities: frozenset[Capability], plant: Plant)
         raise CdcsrError(
             f"The engine {engine} has no elastic cables; leave out axial_stiffness and "
             "cable_strain, or choose an engine that has elastic_cables (see `cdcsr engines`)."
+        )
+    plain = all(s.kind == "set-point" and s.pull == s.gain * abs(s.full) for s in robot.servos)
+    if not plain and "servo_kinds" not in abilities:
+        raise CdcsrError(
+            f"The engine {engine} has set-point servos only, without force_limit and pretension; "
+            "choose an engine that has servo_kinds (see `cdcsr engines`)."
         )
 
 

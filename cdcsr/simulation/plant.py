@@ -31,9 +31,10 @@ class Plant(NamedTuple):
     stiffness: Array
     """The hinges' stiffness, shape (n, H), in [N m/rad]."""
     damping: Array
-    """The sliders' friction in [N s/m], then the hinges' damping in [N m s/rad], (n, C + H)."""
+    """The sliders' friction and their servos' dampers in [N s/m], then the hinges' damping in
+    [N m s/rad], (n, C + H)."""
     servo_gain: Array
-    """Shape (n, C), in [N/m]."""
+    """Servo force by command, shape (n, C), in [N/m]; one for a tension servo."""
     rest_length_offset: Array
     """How much longer each cable is than described, shape (n, C), in [m]."""
     cable_compliance: Array
@@ -68,9 +69,9 @@ class Parameters:
     joint_damping: ArrayLike = 1.0
     """For each joint, acts on all of its hinges. May be zero."""
     slider_damping: ArrayLike = 1.0
-    """For each cable, acts on the friction of its slider. May be zero."""
+    """For each cable, acts on the friction of its slider, not on its servo. May be zero."""
     servo_gain: ArrayLike = 1.0
-    """For each cable."""
+    """For each cable; of a tension servo acts on the force."""
     rest_length_offset: ArrayLike = 0.0
     """For each cable, is added to its rest length, in [m]; positive is a stretched cable. A shorter
     cable changes where its slider begins, so set it before a reset: later it would jerk the arm."""
@@ -109,6 +110,7 @@ class Parameters:
                 f"not stretch; found one of {strain.min():g} 1/N below that."
             )
         length = routing(robot).rest_length if strain.any() else 0.0
+        servos = np.array([servo.servo_damping(robot.time_step) for servo in robot.servos])
         stiffness = self._factors("joint_stiffness", num, robot.num_links, zero=True)
         damping = self._factors("joint_damping", num, robot.num_links, zero=True)
         friction = self._factors("slider_damping", num, robot.num_cables, zero=True)
@@ -120,7 +122,9 @@ class Parameters:
             link_inertia=self._factors("link_inertia", num, len(links))[..., None]
             * np.array([link.inertia for link in links]),
             stiffness=stiffness[:, of_hinge] * hinges[:, 0],
-            damping=np.hstack([friction * slider_damping, damping[:, of_hinge] * hinges[:, 1]]),
+            damping=np.hstack(
+                [friction * slider_damping + servos, damping[:, of_hinge] * hinges[:, 1]]
+            ),
             servo_gain=self._factors("servo_gain", num, robot.num_cables) * gain,
             rest_length_offset=offset,
             cable_compliance=(length + offset) * strain,

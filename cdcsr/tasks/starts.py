@@ -183,8 +183,7 @@ def bank(robot: Robot, seed: int) -> tuple[Array, Array]:
 
 def _simulate(robot: Robot, rng: np.random.Generator) -> tuple[Array, Array]:
     num, most = BANK // 2, max(1, round(HOLD * ruler(robot).pace / robot.time_step))
-    eta = np.array([servo.eta for servo in robot.servos])
-    commands = -rng.random((2, num, robot.num_cables)) * eta
+    commands = rng.random((2, num, robot.num_cables)) * robot.full_commands
     ends = rng.integers(1, most, size=(2, num), endpoint=True).cumsum(axis=0)
     positions = np.zeros((2, num, robot.num_coordinates + 1))
     velocities = np.zeros((2, num, robot.num_coordinates))

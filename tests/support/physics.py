@@ -62,9 +62,9 @@ def finer(robot: Robot, divide: int) -> Robot:
 def commands_of(robot: Robot, steps: int, num: int = 1, seed: int = 0, hold: int = 20) -> Array:
     """Return random commands, shape (steps, num, C), each held for some steps, so that the arm
     moves."""
-    eta = np.array([servo.eta for servo in robot.servos])
     draws = (
-        np.random.default_rng(seed).uniform(-1, 0, (-(-steps // hold), num, robot.num_cables)) * eta
+        np.random.default_rng(seed).uniform(-1, 0, (-(-steps // hold), num, robot.num_cables))
+        * -robot.full_commands
     )
     return np.repeat(draws, hold, axis=0)[:steps]
 

@@ -107,6 +107,13 @@ def arms(draw: st.DrawFn) -> Robot:
         if draw(st.booleans()):
             pull = segment["servo"]["gain"] * segment["servo"]["eta"]
             segment["cables"]["axial_stiffness"] = pull * draw(between(1, 1000))
+        servo, kind = (
+            segment["servo"],
+            draw(st.sampled_from(["set-point", "displacement", "tension"])),
+        )
+        servo |= {"kind": kind, "pretension": draw(between(0, 5)), "force_limit": 50.0}
+        if kind == "tension":
+            servo["largest_tension"] = servo.pop("gain") * servo.pop("eta")
     for segment, own in zip(segments, ours, strict=True):
         if draw(st.integers(0, 2)):
             own |= {key: segment[key] for key in ("cables", "servo")}

@@ -58,8 +58,7 @@ def _step_us(robot: Robot, name: str, num: int) -> float:
     from cdcsr.simulation.engines import make_simulation
 
     simulation = make_simulation(robot, name, num)
-    pull = np.array([servo.eta for servo in robot.servos])
-    command = -pull * np.random.default_rng(0).random((num, robot.num_cables))
+    command = robot.full_commands * np.random.default_rng(0).random((num, robot.num_cables))
     simulation.step(command)  # the first step may compile
     times = []
     for _ in range(_ROUNDS):

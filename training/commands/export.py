@@ -60,7 +60,7 @@ def export(
     set_threads()
     data = to_onnx(found.actor, dtype, metadata(found))
     apart = largest_difference(found.actor, data, dtype, random_observations(found.actor, _STATES))
-    if not apart <= _TOLERANCE * max(1.0, *(servo.eta for servo in found.robot.servos)):
+    if not apart <= _TOLERANCE * max(1.0, *(abs(servo.full) for servo in found.robot.servos)):
         raise CdcsrError(
             f"The file would not act as the policy {found.name!r}: its commands are up to "
             f"{apart:.1e} m apart; install the tested versions: "
@@ -94,9 +94,9 @@ def metadata(policy: Policy) -> dict[str, str]:
         "robot_fingerprint": robot.fingerprint,
         "observation": layout,
         "frame": "world; quaternions w-x-y-z",
-        "command_low": [-servo.eta for servo in robot.servos],
-        "command_high": [0.0] * robot.num_cables,
-        "command_unit": "m",
+        "command_low": robot.command_range[0].tolist(),
+        "command_high": robot.command_range[1].tolist(),
+        "command_unit": " ".join(dict.fromkeys(s.unit for s in robot.servos)),
         "control_rate_hz": 1 / (robot.time_step * hold),
         "versions": versions(),
     }

@@ -29,6 +29,7 @@ class Actor(nn.Module):
     """
 
     eta: Tensor
+    """Minus the command of the largest pull, which is the action -1; shape (C,)."""
 
     def __init__(
         self,
@@ -47,7 +48,7 @@ class Actor(nn.Module):
             layers += [nn.Linear(width, size), nn.Tanh() if activation == "tanh" else nn.ReLU()]
             width = size
         self.net = nn.Sequential(*layers, nn.Linear(width, robot.num_cables))
-        eta = torch.tensor([servo.eta for servo in robot.servos], dtype=torch.float32)
+        eta = torch.tensor([-servo.full for servo in robot.servos], dtype=torch.float32)
         self.register_buffer("eta", eta)
 
     def forward(self, encoded: Tensor) -> Tensor:
@@ -55,11 +56,11 @@ class Actor(nn.Module):
         return torch.tanh(self.net(encoded))
 
     def to_command(self, action: Tensor) -> Tensor:
-        """Convert actions in [-1, 1] to set-points in [-eta, 0] m."""
+        """Convert actions in [-1, 1] to commands from full pull to none, in [m] or [N]."""
         return (action - 1) * (self.eta / 2)
 
     def from_command(self, command: Tensor) -> Tensor:
-        """Convert set-points in [-eta, 0] m to actions in [-1, 1]."""
+        """Convert commands from full pull to none, in [m] or [N], to actions in [-1, 1]."""
         return command / (self.eta / 2) + 1
 
     def act(self, observation: Tensor) -> Tensor:

@@ -164,6 +164,10 @@ class MjsTendon(_Limited):
     def wrap_pulley(self, divisor: float) -> object: ...
 
 class MjsActuator(_MjsElement):
+    gainprm: _Vector
+    biasprm: _Vector
+    forcelimited: bool
+    forcerange: _Vector
     ctrllimited: bool
     ctrlrange: _Vector
     def set_to_position(self, kp: float) -> None: ...
@@ -335,6 +339,8 @@ class MjModel:
     tendon_range: _Floats
     tendon_invweight0: _Floats
     eq_solref: _Floats
+    actuator_gainprm: _Floats
+    actuator_biasprm: _Floats
     eq_solimp: _Floats
     ten_J_rownnz: _Ints
     ten_J_rowadr: _Ints

@@ -111,9 +111,9 @@ def test_the_plant_makes_cables_elastic_and_rigid(engine: str) -> None:
 
 
 def test_an_engine_without_elastic_cables_refuses_them() -> None:
-    plant = Parameters().plant(elastic(load_robot("paper"), 1e5), 1)
+    robot = elastic(load_robot("paper"), 1e5)
     with pytest.raises(CdcsrError, match="third has no elastic cables"):
-        check_abilities("third", frozenset(), plant)
+        check_abilities("third", frozenset(), robot, Parameters().plant(robot, 1))
 
 
 def test_a_cable_cannot_be_stiffer_than_one_that_does_not_stretch() -> None:

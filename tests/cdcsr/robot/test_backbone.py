@@ -10,8 +10,8 @@ import trimesh
 from pydantic import ValidationError
 
 from cdcsr.errors import CdcsrError
+from cdcsr.robot.backbone import Backbone
 from cdcsr.robot.description import Robot, load_robot, parse_robot
-from cdcsr.robot.parts import Backbone
 from cdcsr.simulation.engines import backend_names
 from tests.support.physics import running, walk
 from tests.support.rods import rod_robot
