@@ -16,7 +16,7 @@ from cdcsr.tasks.spaces import (
     WiderTargets,
     demonstration_targets,
     make_space,
-    own_map,
+    own_file,
     wider_targets,
 )
 from cdcsr.tasks.workspace_map import Workspace
@@ -133,11 +133,11 @@ def test_a_widened_space_keeps_its_name_and_a_given_map_is_told_by_its_digest(
     tmp_path: Path,
 ) -> None:
     assert wider_targets(make_space("spatter", PAPER), 0.1, PAPER).name == "spatter"
-    assert own_map("anchor", PAPER) == own_map("workspace", PAPER) == {}
+    assert own_file("anchor", PAPER) == own_file("workspace", PAPER) == {}
     cells = np.zeros((1, 3), np.int16)
     made = Workspace(PAPER.fingerprint, np.zeros(3), np.ones(3), cells, PAPER.to_toml())
     made.save(tmp_path / "mine.npz")
-    assert own_map(str(tmp_path / "mine.npz"), PAPER) == {"map": made.digest}
+    assert own_file(str(tmp_path / "mine.npz"), PAPER) == {"map": made.digest}
 
 
 def test_an_unknown_space_is_an_error() -> None:
