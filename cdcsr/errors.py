@@ -44,6 +44,8 @@ class Diverged(CdcsrError, FloatingPointError):
         copy: the index of the first copy that diverged.
         copies: the indices of all copies that diverged in this step.
         time: the simulated time of the first, in [s].
+        engine: the engine's name.
+        what: how it shows.
     """
 
     def __init__(
@@ -51,7 +53,7 @@ class Diverged(CdcsrError, FloatingPointError):
     ) -> None:
         self.copy = copy
         self.copies = tuple(sorted({copy, *copies}))
-        self.time = time
+        self.time, self.engine, self.what = time, engine, what
         super().__init__(
             f"{engine}: copy {copy} diverged at t = {time:.4f} s ({what}); "
             "use a smaller time_step, or check the stiffnesses and masses in the robot description."

@@ -8,6 +8,7 @@ from pathlib import Path
 import pytest
 
 from cdcsr.robot.description import Robot, load_robot
+from tests.support.paths import install
 
 _ENGINE = """
 from backends.mujoco.simulation import MujocoSimulation
@@ -34,13 +35,8 @@ def paper() -> Robot:
 
 @pytest.fixture
 def third_engine(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Install an engine of three lines as a package would be, for this process and its children."""
+    """Install an engine of three lines, for this process and its children."""
     site = tmp_path / "site"
-    about = site / "third_engine-1.0.dist-info"
-    about.mkdir(parents=True)
-    (about / "METADATA").write_text("Name: third_engine\nVersion: 1\n")
-    (about / "entry_points.txt").write_text(_ENTRY_POINTS)
+    install("third_engine", _ENTRY_POINTS, site, monkeypatch)
     (site / "third_engine.py").write_text(_ENGINE + _MEASUREMENT)
-    monkeypatch.syspath_prepend(site)
-    monkeypatch.setenv("PYTHONPATH", str(site))
     monkeypatch.delitem(sys.modules, "third_engine", raising=False)

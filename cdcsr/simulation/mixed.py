@@ -115,9 +115,8 @@ class MixedSimulation(Simulation):
                 lost.append((error, rows))
         if lost:
             first, rows = lost[0]
-            first.copy = int(rows[first.copy])
-            first.copies = tuple(sorted(int(r[c]) for error, r in lost for c in error.copies))
-            raise first
+            copies = [int(numbers[c]) for error, numbers in lost for c in error.copies]
+            raise Diverged(first.engine, int(rows[first.copy]), first.time, first.what, copies)
 
     def _get_snapshot(self) -> Snapshot:
         """Return a snapshot; `private` holds what each engine needs, filled up with zeros."""

@@ -6,11 +6,9 @@ from collections.abc import Iterator
 
 import pytest
 
+from backends.contract_suite.states import KINDS, Make, simulations
 from cdcsr.robot.description import Robot, load_robot
-from cdcsr.simulation.contract import Simulation
-from cdcsr.simulation.engines import backend_names, load_backend, make_simulation
-from tests.support.physics import Make
-from tests.support.random_robots import KINDS
+from cdcsr.simulation.engines import backend_names, load_backend
 
 
 @pytest.fixture(params=backend_names())
@@ -43,12 +41,5 @@ def robot(request: pytest.FixtureRequest) -> Robot:
 @pytest.fixture
 def make() -> Iterator[Make]:
     """Make simulations, and close them at the end of the test."""
-    made: list[Simulation] = []
-
-    def simulation(engine: str, robot: Robot, num: int = 1) -> Simulation:
-        made.append(make_simulation(robot, engine, num))
-        return made[-1]
-
-    yield simulation
-    for each in made:
-        each.close()
+    with simulations() as make:
+        yield make

@@ -11,10 +11,10 @@ import pytest
 from numpy.typing import NDArray
 from pydantic import ValidationError
 
+from backends.contract_suite.states import KINDS
 from cdcsr.errors import CdcsrWarning, Diverged
 from cdcsr.robot.description import Robot, load_robot
 from cdcsr.simulation.engines import make_simulation
-from tests.support.random_robots import KINDS
 
 ENGINES = ("mujoco", "pybullet")
 SECONDS = 0.25

@@ -1,4 +1,5 @@
-"""List a folder, make the lock of a dead process, and an install that cannot be written."""
+"""List a folder, make the lock of a dead process, an install that cannot be written, and one of
+entry points."""
 
 from __future__ import annotations
 
@@ -6,6 +7,8 @@ import json
 import os
 import shutil
 from pathlib import Path
+
+import pytest
 
 ROOT = Path(__file__).parents[2]
 DEAD = json.dumps({"pid": 2**22 + 1, "host": os.uname().nodename, "started": "0", "token": "x"})
@@ -30,3 +33,13 @@ def read_only_install(folder: Path) -> dict[str, str]:
             (each / "__pycache__").touch()
     kept = {k: v for k, v in os.environ.items() if k not in ("NUMBA_CACHE_DIR", "PYTHONPATH")}
     return {**kept, "PYTHONPATH": str(folder), "HOME": "/dev/null", "XDG_CACHE_HOME": "/dev/null/x"}
+
+
+def install(name: str, entry_points: str, site: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Install a distribution of entry points alone, for this process and its children."""
+    about = site / f"{name}-1.0.dist-info"
+    about.mkdir(parents=True)
+    (about / "METADATA").write_text(f"Name: {name}\nVersion: 1\n")
+    (about / "entry_points.txt").write_text(entry_points)
+    monkeypatch.syspath_prepend(site)
+    monkeypatch.setenv("PYTHONPATH", str(site))

@@ -13,8 +13,6 @@ from hypothesis import strategies as st
 
 from cdcsr.robot.description import Robot
 
-KINDS = ("paper", "planar-single", "three-cable", "three-segment")
-"""Shipped robots of every kind; the others are similar to these."""
 few = settings(max_examples=12, deadline=None, derandomize=True, database=None)
 many = settings(max_examples=200, deadline=None, database=None)
 

@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 import trimesh
 
+from backends.contract_suite.states import KINDS
 from cdcsr.errors import CdcsrError
 from cdcsr.files import JsonObject
 from cdcsr.robot.description import Robot, load_robot
@@ -20,7 +21,6 @@ from cdcsr.robot.routing import routing
 from cdcsr.simulation.cameras import CAMERAS
 from cdcsr.simulation.engines import make_simulation
 from tests.support.physics import described_bodies
-from tests.support.random_robots import KINDS
 from training.commands.build_model import build_model
 
 ALONE = "assert not {'cdcsr', 'backends'} & {name.partition('.')[0] for name in sys.modules}"

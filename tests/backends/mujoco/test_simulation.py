@@ -14,11 +14,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from backends.contract_suite.states import assert_same, commands_of, moving, straight
 from backends.mujoco.active_cables import CURRENT
 from backends.mujoco.simulation import MujocoSimulation
 from cdcsr.errors import Diverged
 from cdcsr.robot.description import Robot
-from tests.support.physics import assert_same, commands_of, moving, slack, straight
+from tests.support.physics import slack
 
 
 @pytest.fixture

@@ -10,11 +10,12 @@ import mujoco
 import numpy as np
 import pytest
 
+from backends.contract_suite.states import commands_of, running, stretch
 from backends.mujoco.export import write_mjcf
 from backends.mujoco.stock import MujocoStock, StockOptions
 from cdcsr.robot.description import Robot
 from cdcsr.simulation.engines import make_simulation
-from tests.support.physics import commands_of, running, slack, stretch
+from tests.support.physics import slack
 
 INTEGRATORS = {
     "implicitfast": mujoco.mjtIntegrator.mjINT_IMPLICITFAST,

@@ -11,6 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from backends.contract_suite.states import KINDS
 from backends.mujoco.simulation import MujocoSimulation
 from backends.parity import report
 from backends.parity.checks import Check, Engines
@@ -26,7 +27,6 @@ from cdcsr.files import JsonObject
 from cdcsr.robot.description import Robot, load_robot
 from cdcsr.robot.routing import cable_lengths, routing
 from cdcsr.simulation.engines import engine_factory, switched_off
-from tests.support.random_robots import KINDS
 from training.commands.parity import parity as command
 from training.measure.trajectories import demonstrator_commands
 

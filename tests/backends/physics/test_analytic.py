@@ -7,9 +7,10 @@ import numpy as np
 import pytest
 from scipy.linalg import expm
 
+from backends.contract_suite.states import at, running, straight
 from cdcsr.robot.description import Robot, load_robot
 from cdcsr.simulation.contract import Array
-from tests.support.physics import at, changed, running, straight
+from tests.support.physics import changed
 
 
 def one_link(joint_damping: float = 0.0, servo_damping: float = 20.0, divide: int = 1) -> Robot:

@@ -15,20 +15,10 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
+from backends.contract_suite.states import at, commands_of, moving, running, straight
 from cdcsr.robot.description import Robot
 from cdcsr.simulation.contract import Array
-from tests.support.physics import (
-    at,
-    commands_of,
-    described_bodies,
-    energy,
-    finer,
-    momentum,
-    moving,
-    running,
-    straight,
-    with_parts,
-)
+from tests.support.physics import described_bodies, energy, finer, momentum, with_parts
 
 DURATION = 0.15
 """The time of a run, in [s]."""

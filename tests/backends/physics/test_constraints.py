@@ -8,20 +8,12 @@ from collections.abc import Iterator
 import numpy as np
 import pytest
 
+from backends.contract_suite.states import STRETCH, commands_of, moving, running, stretch
 from cdcsr.robot.description import Robot, load_robot
 from cdcsr.robot.routing import cable_lengths, routing
 from cdcsr.simulation.contract import Array, Simulation, State
 from cdcsr.simulation.plant import Parameters
-from tests.support.physics import (
-    STRETCH,
-    changed,
-    commands_of,
-    moving,
-    running,
-    slack,
-    stretch,
-    with_parts,
-)
+from tests.support.physics import changed, slack, with_parts
 
 PULL = 250.0
 """No servo pulls harder, in [N]."""

@@ -9,11 +9,12 @@ import pytest
 from scipy.optimize import least_squares
 from scipy.spatial.transform import Rotation
 
+from backends.contract_suite.states import commands_of, running
 from cdcsr.errors import CdcsrError
 from cdcsr.robot.description import Robot, load_robot
 from cdcsr.simulation.contract import Array
 from controllers.jacobian import JacobianController
-from tests.support.physics import changed, commands_of, energy, momentum, running, walk, with_parts
+from tests.support.physics import changed, energy, momentum, walk, with_parts
 
 COUPLED = load_robot("paper-coupled")
 APART = {"mujoco": 1e-6, "mujoco-stock": 0.05, "pybullet": 1e-12, "pybullet-stock": 1e-4}

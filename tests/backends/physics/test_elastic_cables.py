@@ -7,23 +7,14 @@ import numpy as np
 import pytest
 from scipy.optimize import least_squares
 
+from backends.contract_suite.states import commands_of, running, straight
 from cdcsr.errors import CdcsrError
 from cdcsr.robot.description import Robot, load_robot
 from cdcsr.simulation.contract import Array
 from cdcsr.simulation.declarations import check_abilities
 from cdcsr.simulation.plant import Parameters
 from tests.backends.physics.test_statics import settling, taken_in
-from tests.support.physics import (
-    changed,
-    commands_of,
-    elastic_stiffness,
-    energy,
-    finer,
-    running,
-    slack,
-    straight,
-    with_parts,
-)
+from tests.support.physics import changed, elastic_stiffness, energy, finer, slack, with_parts
 
 
 def elastic(robot: Robot, stiffness: float) -> Robot:

@@ -7,30 +7,11 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
+from backends.contract_suite.states import at, moving, running
 from cdcsr.robot.description import Link, Robot
 from cdcsr.robot.routing import cable_jacobian, routing
 from cdcsr.simulation.contract import Array, Snapshot
-from tests.support.physics import at, described_bodies, moving, running
-
-
-def test_coordinates_are_in_the_contracts_order(robot: Robot, engine: str) -> None:
-    """The state has the numbers of a snapshot under the right names."""
-    snapshot, cables = moving(robot, 3), robot.num_cables
-    with running(robot, engine, 3) as simulation:
-        simulation.set_snapshot(snapshot)
-        state, again = simulation.state(), simulation.get_snapshot()
-        flow = simulation.dynamics().velocity
-    position, velocity = snapshot.position, snapshot.velocity
-    np.testing.assert_array_equal(state.base_position, position[:, :3])
-    np.testing.assert_allclose(state.base_quaternion, position[:, 3:7], rtol=1e-12)
-    np.testing.assert_array_equal(state.cable_travel, position[:, 7 : 7 + cables])
-    np.testing.assert_array_equal(state.joint_angles, position[:, 7 + cables :])
-    np.testing.assert_allclose(state.base_velocity, velocity[:, :3], atol=1e-15)
-    np.testing.assert_allclose(state.base_angular_velocity, velocity[:, 3:6], atol=1e-12)
-    np.testing.assert_array_equal(state.joint_rates, velocity[:, 6 + cables :])
-    np.testing.assert_allclose(flow, velocity, atol=1e-12)
-    np.testing.assert_allclose(again.velocity, velocity, atol=1e-12)
-    np.testing.assert_allclose(again.position, position, atol=1e-12)
+from tests.support.physics import described_bodies
 
 
 def moved(robot: Robot, position: Array, velocity: Array, time: float) -> Snapshot:

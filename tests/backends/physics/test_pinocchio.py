@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from backends.contract_suite.states import KINDS
 from backends.export.model_files import write_model
 from backends.parity.one_state import compare, random_states
 from cdcsr.robot.description import Robot, load_robot
@@ -16,7 +17,6 @@ from cdcsr.simulation.contract import Array, Dynamics, Snapshot
 from cdcsr.simulation.engines import load_backend
 from cdcsr.simulation.rotations import rotation_matrix
 from tests.support.physics import changed
-from tests.support.random_robots import KINDS
 
 pinocchio: Any = pytest.importorskip(
     "pinocchio", reason="Pinocchio has no package for this platform"

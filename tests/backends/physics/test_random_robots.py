@@ -8,12 +8,13 @@ import pytest
 from hypothesis import given
 from scipy.spatial.transform import Rotation
 
+from backends.contract_suite.states import moving, running
 from backends.mujoco.simulation import MujocoSimulation
 from cdcsr.robot.description import Robot
 from cdcsr.robot.routing import cable_lengths, routing
 from cdcsr.simulation.contract import Array
 from cdcsr.simulation.plant import Parameters
-from tests.support.physics import changed, moving, running, walk
+from tests.support.physics import changed, walk
 from tests.support.random_robots import arms, few, many, robots
 
 

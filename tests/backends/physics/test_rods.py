@@ -6,13 +6,14 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
+from backends.contract_suite.states import Make
 from backends.cosserat.equilibrium import equilibrium
 from backends.parity.one_state import one_state
 from cdcsr.errors import CdcsrError
 from cdcsr.robot.description import Robot, load_robot
 from cdcsr.robot.poses import arms
 from cdcsr.simulation.engines import load_backend, make_simulation
-from tests.support.physics import Make, changed, momentum
+from tests.support.physics import changed, momentum
 from tests.support.rods import CABLES, elastica, rod_robot
 
 LENGTH, STIFFNESS = 0.4, 0.0344  # [m], [N m^2]

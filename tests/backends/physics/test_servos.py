@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from scipy.optimize import minimize
 
+from backends.contract_suite.states import commands_of, running
 from cdcsr.errors import CdcsrError
 from cdcsr.robot.description import Robot, load_robot, parse_robot
 from cdcsr.simulation.contract import Array
@@ -15,7 +16,7 @@ from cdcsr.simulation.plant import Parameters
 from controllers.controller import Conditions, Target
 from controllers.jacobian import JacobianController
 from tests.backends.physics.test_statics import settling, taken_in
-from tests.support.physics import commands_of, momentum, running, with_parts
+from tests.support.physics import momentum, with_parts
 
 TENSION = {"kind": "tension", "gain": None, "eta": None, "largest_tension": 250.0}
 

@@ -15,17 +15,10 @@ import pytest
 from scipy.optimize import least_squares, minimize
 from scipy.spatial.transform import Rotation
 
+from backends.contract_suite.states import STRETCH, running, stretch
 from cdcsr.robot.description import Robot, load_robot
 from cdcsr.simulation.contract import Array, State
-from tests.support.physics import (
-    STRETCH,
-    changed,
-    running,
-    slack,
-    stretch,
-    walk,
-    with_parts,
-)
+from tests.support.physics import changed, slack, walk, with_parts
 
 HINGE = ("stiffness", "rest")
 """The numbers of a hinge on which its pose at rest depends."""

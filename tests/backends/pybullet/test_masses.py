@@ -7,9 +7,9 @@ import dataclasses
 import numpy as np
 import pytest
 
+from backends.contract_suite.states import Make, random_parameters
 from cdcsr.robot.description import Robot
 from cdcsr.simulation.plant import Parameters
-from tests.support.physics import Make, random_parameters
 
 
 def test_old_masses_are_forgotten_however_many_there_were(

@@ -13,7 +13,10 @@ import pytest
 
 from backends.pybullet.client import connect, load_robot_body
 from backends.pybullet.urdf import cable_file, joint_names, urdf
+from cdcsr.errors import CdcsrError
 from cdcsr.robot.description import Robot
+from cdcsr.simulation.engines import make_simulation
+from tests.support.physics import changed
 
 
 def test_urdf_holds_the_whole_robot(robot: Robot) -> None:
@@ -70,3 +73,10 @@ def test_pybullet_has_the_masses_and_inertias_that_were_written(robot: Robot) ->
     for info, (mass, inertia) in zip(found, expected, strict=True):
         assert info[0] == pytest.approx(mass, rel=1e-14)
         assert info[2] == pytest.approx(inertia, rel=1e-14)
+
+
+def test_a_body_with_too_many_joints_for_pybullet_is_refused_by_number(paper: Robot) -> None:
+    segments = paper.model_dump()["segments"]
+    long = changed(paper, segments=[segments[0] | {"links": 54}, segments[1]])
+    with pytest.raises(CdcsrError, match="at most 127 joints in a body; paper has 128"):
+        make_simulation(long, "pybullet")

@@ -11,6 +11,7 @@ import signal
 import numpy as np
 import pytest
 
+from backends.contract_suite.states import assert_same, commands_of, straight
 from backends.pybullet.benchmarks import step_cost
 from backends.pybullet.cables import stiff_dampers
 from backends.pybullet.equation import Equation
@@ -22,7 +23,7 @@ from cdcsr.errors import CdcsrError, Diverged
 from cdcsr.robot.description import Robot
 from cdcsr.simulation.contract import Snapshot
 from cdcsr.simulation.plant import Parameters
-from tests.support.physics import assert_same, changed, commands_of, momentum, straight
+from tests.support.physics import changed, momentum
 
 
 def test_hinge_limit_stops_the_arm(paper: Robot) -> None:

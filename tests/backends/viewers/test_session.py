@@ -7,6 +7,7 @@ from collections.abc import Callable, Iterator
 import numpy as np
 import pytest
 
+from backends.contract_suite.states import running
 from backends.viewers.cable_paths import CablePaths
 from backends.viewers.driving import HAND, RECORDING, Shown
 from backends.viewers.session import Session
@@ -21,7 +22,6 @@ from controllers.demonstrations import record
 from controllers.feeds import StepByStep
 from controllers.jacobian import JacobianController
 from tests.support.controllers import Still
-from tests.support.physics import running
 
 STEP = 0.0025
 

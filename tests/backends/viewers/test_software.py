@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
+from backends.contract_suite.states import straight
 from backends.viewers.software import Renderer
 from cdcsr.robot.description import Robot
-from tests.support.physics import straight
 
 
 def test_pictures_show_the_pose_and_the_targets(paper: Robot) -> None:

@@ -9,11 +9,12 @@ import pytest
 import trimesh
 from pydantic import ValidationError
 
+from backends.contract_suite.states import running
 from cdcsr.errors import CdcsrError
 from cdcsr.robot.backbone import Backbone
 from cdcsr.robot.description import Robot, load_robot, parse_robot
 from cdcsr.simulation.engines import backend_names
-from tests.support.physics import running, walk
+from tests.support.physics import walk
 from tests.support.rods import rod_robot
 
 STEEL = {

@@ -9,6 +9,7 @@ import gymnasium as gym
 import numpy as np
 import pytest
 
+from backends.contract_suite.states import commands_of
 from backends.mujoco.simulation import MujocoSimulation
 from cdcsr.envs.gym_env import TaskVectorEnv
 from cdcsr.errors import CdcsrError
@@ -22,7 +23,7 @@ from cdcsr.tasks import starts
 from cdcsr.tasks.catalogue import make_task
 from cdcsr.tasks.observation import TARGET
 from cdcsr.tasks.starts import RATE, SPEED, Starts, bank
-from tests.support.physics import commands_of, momentum, slack
+from tests.support.physics import momentum, slack
 
 SMALL = load_robot("planar-single")
 PAPER = load_robot("paper")
