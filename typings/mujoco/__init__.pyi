@@ -335,9 +335,29 @@ class MjModel:
     stat: MjStatistic
     vis: MjVisual
     dof_armature: _Floats
+    dof_damping: _Floats
+    jnt_type: _Ints
+    jnt_limited: _Ints
+    jnt_range: _Floats
+    jnt_solref: _Floats
+    jnt_solimp: _Floats
+    geom_bodyid: _Ints
+    geom_contype: _Ints
+    geom_conaffinity: _Ints
+    geom_group: _Ints
+    geom_size: _Floats
+    geom_rgba: NDArray[np.float32]
     tendon_length0: _Floats
+    tendon_limited: _Ints
+    tendon_solref_lim: _Floats
+    tendon_solimp_lim: _Floats
     tendon_range: _Floats
     tendon_invweight0: _Floats
+    eq_type: _Ints
+    eq_obj1id: _Ints
+    eq_obj2id: _Ints
+    eq_active0: _Ints
+    eq_data: _Floats
     eq_solref: _Floats
     actuator_gainprm: _Floats
     actuator_biasprm: _Floats
@@ -361,8 +381,11 @@ class _NamedInData:
 class MjData:
     model: MjModel
     def camera(self, which: str) -> _Camera: ...
+    time: float
     xipos: _Floats
     xmat: _Floats
+    xfrc_applied: _Floats
+    geom_xpos: _Floats
     qpos: _Floats
     qvel: _Floats
     ctrl: _Vector

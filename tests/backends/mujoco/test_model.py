@@ -6,10 +6,11 @@ import mujoco
 import numpy as np
 import pytest
 
+from backends.mujoco.active_cables import stepping_spec
 from backends.mujoco.model import build_spec
 from backends.mujoco.model_choices import Choice, cheapest, model_choices
-from cdcsr.robot.colors import BACKGROUND
-from cdcsr.robot.description import Robot
+from cdcsr.robot.colors import BACKGROUND, segment_color
+from cdcsr.robot.description import Robot, load_robot
 from cdcsr.simulation.rotations import rotation_matrix
 from tests.support.physics import described_bodies
 
@@ -60,6 +61,90 @@ def test_joints_have_the_described_springs_dampers_and_limits(robot: Robot) -> N
         assert model.actuator(f"servo_{c}").biasprm[:3].tolist() == [0, -servo.gain, 0]
     assert model.opt.timestep == robot.time_step
     assert not model.opt.gravity.any()
+
+
+def test_limits_are_as_soft_as_described_and_equalities_are_rigid(paper: Robot) -> None:
+    """A limit decays with the recovery time, critically damped, at the impedance that is given;
+    MuJoCo's own shape of the impedance stays, and a slider has no limit on its way down."""
+    options = paper.mujoco.model_copy(update={"impedance": 0.97})
+    time = paper.constraint.recovery_time
+    model = build_spec(paper.model_copy(update={"mujoco": options})).compile()
+    hinged = model.jnt_type != mujoco.mjtJoint.mjJNT_FREE
+    soft, shape = [time, 1.0], [0.97, 0.97, 0.001, 0.5, 2]
+    assert (model.jnt_solref[hinged] == soft).all()
+    assert (model.jnt_solimp[hinged] == shape).all()
+    assert (model.tendon_solref_lim == soft).all()
+    assert (model.tendon_solimp_lim == shape).all()
+    assert model.jnt_limited[hinged].all()
+    assert model.tendon_limited.all()
+    sliders = model.jnt_range[model.jnt_type == mujoco.mjtJoint.mjJNT_SLIDE]
+    assert sliders[:, 0].max() <= -1e6
+    assert sliders[:, 1].tolist() == [servo.stop for servo in paper.servos]
+    h = paper.time_step
+    assert not model.eq_active0.any()
+    assert (model.eq_solref == [-1 / h**2, -1 / h]).all()
+    assert (model.eq_solimp == [0.9999, 0.9999, 0.001, 0.5, 2]).all()
+
+
+def test_parts_look_as_large_as_described_and_weigh_and_touch_nothing(paper: Robot) -> None:
+    model = build_spec(paper).compile()
+    data = mujoco.MjData(model)
+    mujoco.mj_forward(model, data)
+    assert not model.geom_contype.any()
+    assert not model.geom_conaffinity.any()
+    assert (model.geom_group == 1).all()
+
+    def drawn(name: str) -> int:
+        """Return the geom of a body."""
+        (geom,) = np.flatnonzero(model.geom_bodyid == model.body(name).id)
+        return int(geom)
+
+    assert model.geom_size[drawn("base")].tolist() == [size / 2 for size in paper.base.size]
+    height = paper.top
+    for j, (link, _) in enumerate(paper.links):
+        geom = drawn(f"link_{j}")
+        assert model.geom_size[geom, :2].tolist() == [link.radius, link.length / 2]
+        middle = [0, 0, height + link.length / 2]
+        np.testing.assert_allclose(data.geom_xpos[geom], middle, atol=1e-12)
+        color = np.divide(segment_color(j // 6), 255)
+        np.testing.assert_allclose(model.geom_rgba[geom], color, atol=1e-7)
+        height += link.length
+    for c, servo in enumerate(paper.servos):
+        assert model.geom_size[drawn(f"slider_{c}"), 0] == servo.radius
+    np.testing.assert_allclose(data.site("tip").xpos, [0, 0, height], atol=1e-12)
+    # What a viewer looks at: the middle of base and arm, and as far as it reaches.
+    np.testing.assert_allclose(model.stat.center, [0, 0, (paper.top + 2.4) / 2], atol=1e-12)
+    assert model.stat.extent == pytest.approx(np.hypot(2.4, paper.base.size[0]))
+
+
+def test_coupled_hinges_follow_their_leaders_and_need_another_solver(paper: Robot) -> None:
+    coupled = load_robot("paper-coupled")
+    model = build_spec(coupled).compile()
+    linked = model.eq_type == mujoco.mjtEq.mjEQ_JOINT
+    pairs = np.stack([model.eq_obj1id, model.eq_obj2id], axis=1)[linked]
+    first = 1 + coupled.num_cables  # the base's joint is the first
+    followers = [n for n, leader in enumerate(coupled.leaders) if n != leader]
+    assert (pairs - first).tolist() == [[n, coupled.leaders[n]] for n in followers]
+    assert (model.eq_data[linked, :5] == [0, 1, 0, 0, 0]).all()
+    time, impedance = coupled.constraint.recovery_time, coupled.mujoco.impedance
+    assert (model.eq_solref[linked] == [time, 1.0]).all()
+    assert (model.eq_solimp[linked] == [impedance, impedance, 0.001, 0.5, 2]).all()
+    assert model.opt.solver == mujoco.mjtSolver.mjSOL_NEWTON
+    assert build_spec(paper).compile().opt.solver == mujoco.mjtSolver.mjSOL_PGS
+
+
+def test_the_model_that_is_stepped_has_implicit_dampers_and_rigid_cables(paper: Robot) -> None:
+    """Armatures are h C, and every cable is an equality that can be switched."""
+    model, plain = stepping_spec(paper).compile(), build_spec(paper).compile()
+    assert model.opt.integrator == mujoco.mjtIntegrator.mjINT_EULER
+    assert model.opt.disableflags & int(mujoco.mjtDisableBit.mjDSBL_EULERDAMP)
+    np.testing.assert_allclose(model.dof_armature, 0.0025 * plain.dof_damping, rtol=1e-12)
+    assert not plain.dof_armature.any()
+    assert not model.tendon_limited.any()
+    assert model.eq_active0.all()
+    assert len(model.eq_active0) == paper.num_cables
+    assert plain.opt.disableflags & int(mujoco.mjtDisableBit.mjDSBL_CONTACT)
+    assert plain.opt.disableflags & int(mujoco.mjtDisableBit.mjDSBL_AUTORESET)
 
 
 def test_faithful_variants_move_as_ours_does_and_others_do_not(paper: Robot) -> None:

@@ -11,6 +11,7 @@ import sys
 from itertools import pairwise
 from pathlib import Path
 
+import mujoco
 import numpy as np
 import pytest
 
@@ -109,6 +110,37 @@ def test_an_excess_is_taken_back_with_the_recovery_time(paper: Robot) -> None:
     assert excess[1] == pytest.approx(keep * 2e-3, rel=1e-3)
     for before, after in pairwise(excess):
         assert after < max(keep * before, 0) + 6e-6
+
+
+def test_a_few_copies_are_stepped_by_one_thread(
+    paper: Robot, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("backends.mujoco.simulation.processors", lambda: 3)
+    threads = [MujocoSimulation(paper, num).batch.nthread for num in (7, 8)]
+    assert threads == [1, 3]
+    assert MujocoSimulation(paper, 8, threads=2).batch.nthread == 2
+
+
+def test_a_copy_in_plain_data_goes_on_as_in_the_batch(paper: Robot) -> None:
+    """Out to MuJoCo's own data and back, of one copy of three, with a force that acts on it."""
+    batch, commands = MujocoSimulation(paper, 3), commands_of(paper, 20, 3)
+    for command in commands[:10]:
+        batch.step(command)
+    data = mujoco.MjData(batch.model)
+    batch.write_to(data, 1)
+    np.testing.assert_array_equal(data.qpos, batch.get_snapshot().position[1])
+    assert data.time == pytest.approx(10 * paper.time_step)
+    other = MujocoSimulation(paper, 2)
+    data.xfrc_applied[-1, 0] = 3.0
+    other.read_from(data, 1)
+    np.testing.assert_array_equal(other.state().tip_position[1], batch.state().tip_position[1])
+    batch.set_loads([1], -1, force=(3.0, 0.0, 0.0))
+    for command in commands[10:]:
+        batch.step(command)
+        other.step(command[[0, 1]])
+    np.testing.assert_allclose(
+        other.state().tip_position[1], batch.state().tip_position[1], rtol=0, atol=1e-9
+    )
 
 
 def test_pictures_without_a_display_fail_in_one_line_as_often_as_they_are_asked_for() -> None:
