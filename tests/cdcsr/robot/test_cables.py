@@ -152,24 +152,30 @@ def test_one_or_two_cables_on_any_way_against_a_line_through_their_guides() -> N
     led = {"angle_deg": 130.0, "first_link": 2, "last_link": 9, "twist_deg": -50.0}
     cables = {"pitch_radius": 0.02, "guide_offset": 0.02}
     ways = ({"paths": (helix, led)}, {"paths": ({"angle_deg": 80.0},)})
-    both = zip(data["segments"], ways, strict=True)
+    lengths = [0.2, 0.14, 0.23, 0.17, 0.2, 0.26, *6 * [0.19]]
+    lower, upper = data["segments"]
+    link = lower.pop("link")
+    lower["chain"] = [link | {"length": length} for length in lengths[:6]]
+    upper["link"]["length"] = 0.19
+    both = zip((lower, upper), ways, strict=True)
     segments = [segment | {"cables": cables | way} for segment, way in both]
     robot = Robot.model_validate(data | {"segments": segments})
     assert parse_robot(robot.to_toml()) == robot
     route, (travel, hinges) = routing(robot), random_state(robot, 4, (1,))
     place, turn, frames = np.array([0, 0, robot.first_joint]), np.eye(3), []
-    for n in range(12):
+    for n, length in enumerate(lengths):
         turn = turn @ Rotation.from_euler("XY", hinges[0, 2 * n : 2 * n + 2]).as_matrix()
         frames.append((place, turn))
-        place = place + turn @ [0, 0, 0.2]
-    base = np.array([0, 0, robot.top - 0.2]), np.eye(3)
+        place = place + turn @ [0, 0, length]
+    foot = np.cumsum([0.0, *lengths])  # of each link, above the first joint
     spans = [(0, 6, 10, 200, 0.02, 0.01), (2, 10, 130, -50, 0.02, 0.02), (0, 12, 80, 0, 0.02, 0.02)]
     for c, (first, end, angle, twist, near, far) in enumerate(spans):
         points = []
         for n in range(first - 1, end):
-            origin, axes = base if n < 0 else frames[n]
-            for z in [0.18] if n < first else [0.02, 0.18]:
-                part = (0.2 * (n - first) + z + 0.02) / (0.2 * (end - first))
+            origin, axes = frames[n] if n >= 0 else (np.array([0, 0, robot.top]), np.eye(3))
+            length, start = (lengths[n], foot[n]) if n >= 0 else (0.0, 0.0)
+            for z in [length - 0.02] if n < first else [0.02, length - 0.02]:
+                part = (start + z + 0.02 - foot[first]) / (foot[end] - foot[first])
                 radius, phi = near + (far - near) * part, np.deg2rad(angle + twist * part)
                 point = [radius * np.cos(phi), radius * np.sin(phi), z]
                 points.append(origin + axes @ point)

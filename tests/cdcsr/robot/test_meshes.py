@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from trimesh.visual import ColorVisuals
 
 from cdcsr.errors import CdcsrError
-from cdcsr.robot.colors import HULL, METAL, PANEL
+from cdcsr.robot.colors import HULL, METAL, PANEL, segment_color, share
 from cdcsr.robot.description import load_robot, parse_robot, shipped_robots
 from cdcsr.robot.meshes import export_glb, solid_inertia, visual_meshes
 
@@ -150,6 +150,8 @@ def test_a_link_is_a_rod_with_a_disc_at_each_guide() -> None:
     tallest = visual_meshes(load_robot("three-segment"))
     colors = [_color(tallest[f"link_{s}"])[:3] for s in range(3)]
     assert colors == [(225, 120, 50), (60, 140, 200), (90, 170, 90)]
+    assert segment_color(3) == segment_color(0)
+    assert share((255, 0, 51, 102)) == (1.0, 0.0, 0.2, 0.4)
 
 
 def with_looks(folder: Path, base: str, link: str) -> Path:

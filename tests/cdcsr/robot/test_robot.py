@@ -305,6 +305,9 @@ def test_an_unknown_robot_gets_a_suggestion() -> None:
 def test_a_file_that_is_not_there() -> None:
     with pytest.raises(CdcsrError, match=r"^Cannot read the robot description nowhere\.toml: "):
         load_robot("nowhere.toml")
+    for other in ("robot.yaml", "robot.json"):
+        with pytest.raises(CdcsrError, match=r"Unknown robot .* Or give a path ending in \.toml"):
+            load_robot(other)
 
 
 def test_a_byte_order_mark_is_no_part_of_the_text(tmp_path: Path) -> None:
