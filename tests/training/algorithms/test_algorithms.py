@@ -20,7 +20,7 @@ from training.algorithms.bc import BehaviourCloning, imitate
 from training.algorithms.clasp import CLASP
 from training.algorithms.drldr import DRLDR
 from training.algorithms.rbl import RBL
-from training.algorithms.registry import ALGORITHMS, own_numbers
+from training.algorithms.registry import ALGORITHMS
 from training.algorithms.td3 import TD3, BackboneNumbers
 from training.config.learner import Cloning
 from training.config.run_description import Changes
@@ -232,18 +232,37 @@ def test_what_each_begins_with(tmp_path: Path, demonstrations: Path, algorithm: 
     assert (tmp_path / "run" / "clone").exists() == LEARNERS[algorithm].uses_clone
 
 
-def test_what_rlpd_and_her_have_of_their_own() -> None:
-    rlpd = own_numbers("rlpd", "paper-reading").model_dump()
-    assert (rlpd["kept_share"], rlpd["layer_norm"], rlpd["updates_per_step"]) == (0.5, True, 20)
-    tuned, td3 = (own_numbers(name, "tuned").model_dump() for name in ("rlpd", "td3"))
-    assert (tuned["kept_share"], tuned["layer_norm"]) == (0.5, True)
-    # With more updates a step it would have less experience than the others.
-    assert tuned["updates_per_step"] == td3["updates_per_step"]
-    for preset in ("paper-reading", "tuned"):  # Andrychowicz et al. 2017: four targets
-        her = own_numbers("her", preset).model_dump()
-        assert her == {**own_numbers("td3", preset).model_dump(), "hindsight": 4}
-    pair = own_numbers("batd3-no-ensemble", "paper-reading").model_dump()
-    assert pair["critics"] == 2
+def test_a_saturated_output_costs_the_square_of_its_excess(make: Make, small_batch: Batch) -> None:
+    """Of outputs z before tanh, where |z| is above 3, as a mean over all of them."""
+    td3, plain = (make(TD3, saturation_penalty=price) for price in (0.5, 0.0))
+    with torch.no_grad():
+        for learner in (td3, plain):
+            learner.actor.net[-1].bias.copy_(torch.tensor([4.0, -5.0, 2.0, 0.0]))
+        encoded = td3.actor.encoder(small_batch.observation)
+        z = td3.actor.net(encoded).numpy()
+        excess = np.maximum(np.abs(z) - 3, 0)
+        cost = td3.actor_loss(encoded, small_batch) - plain.actor_loss(encoded, small_batch)
+    assert (excess > 0).sum() >= 4
+    assert cost.item() == pytest.approx(0.5 * (excess**2).mean(), rel=1e-4)
+
+
+def test_a_clone_reports_every_hundredth_update_and_learns_ever_more_slowly(
+    small_robot: Robot,
+) -> None:
+    """The learning rate falls as a cosine, to zero at the end: the last update moves nothing."""
+    observations = torch.randn(20, observation_size(small_robot))
+    commands = -torch.rand(20, small_robot.num_cables)
+    learner = Cloning(hidden=(8,), bc_updates=250, batch_size=20, bc_learning_rate=1e-3)
+    clone = BehaviourCloning(small_robot, learner, torch.Generator().manual_seed(0))
+    seen: list[tuple[int, torch.Tensor]] = []
+    weights = list(clone.actor.parameters())
+    clone.fit(
+        observations, commands, lambda update, _: seen.append((update, weights[0].detach().clone()))
+    )
+    assert [update for update, _ in seen] == [100, 200]
+    early = (seen[1][1] - seen[0][1]).abs().max().item()
+    late = (weights[0].detach() - seen[1][1]).abs().max().item()
+    assert late < 0.3 * early
 
 
 def test_clone_learns_a_known_policy(small_robot: Robot) -> None:
