@@ -237,7 +237,7 @@ def test_a_saturated_output_costs_the_square_of_its_excess(make: Make, small_bat
     td3, plain = (make(TD3, saturation_penalty=price) for price in (0.5, 0.0))
     with torch.no_grad():
         for learner in (td3, plain):
-            learner.actor.net[-1].bias.copy_(torch.tensor([4.0, -5.0, 2.0, 0.0]))
+            list(learner.actor.parameters())[-1].copy_(torch.tensor([4.0, -5.0, 2.0, 0.0]))
         encoded = td3.actor.encoder(small_batch.observation)
         z = td3.actor.net(encoded).numpy()
         excess = np.maximum(np.abs(z) - 3, 0)
