@@ -4,6 +4,7 @@ the same command ends as if nothing had happened, and nothing hidden is left."""
 from __future__ import annotations
 
 import json
+import re
 import shutil
 import time
 from collections import Counter
@@ -37,7 +38,7 @@ from training.commands.transfer import transfer
 from training.commands.validate import validate
 from training.commands.workspace import workspace
 from training.experiments import experiments
-from training.measure import plant_sweep
+from training.measure import plant_sweep, trajectories
 from training.report import report
 from training.run.metrics import read_metrics
 from training.run.train_options import Train
@@ -187,7 +188,7 @@ def once(function: Callable[..., object]) -> Callable[..., object]:
     results: dict[str, object] = {}
 
     def remembered(*arguments: object, **options: object) -> object:
-        key = repr((arguments, options))
+        key = re.sub(" at 0x[0-9a-f]+", "", repr((arguments, options)))
         if key not in results:
             results[key] = function(*arguments, **options)
         return results[key]
@@ -272,7 +273,10 @@ def place(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Place]:
         patch.setattr(making, "_reached_corners", lambda _: 9)
         for name in ("_packages", "_engines", "_rendering", "_machine"):
             patch.setattr(doctoring, name, lambda: iter(()))
-        for module, name in ((plant_sweep, "sweep"), (parity_report, "measure"), (statics, "fit")):
+        for module, name in (
+            *((plant_sweep, "sweep"), (parity_report, "measure")),
+            *((trajectories, "demonstrator_commands"), (statics, "fit"), (statics, "order")),
+        ):
             patch.setattr(module, name, once(getattr(module, name)))
         yield Place(tmp_path_factory.mktemp("place"))
 

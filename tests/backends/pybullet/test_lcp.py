@@ -6,7 +6,49 @@ import itertools
 
 import numpy as np
 
-from backends.pybullet.lcp import solve_complementarity
+from backends.pybullet.lcp import (
+    factor,
+    solve_complementarity,
+    solve_transposed,
+    solve_with_equalities,
+)
+
+
+def test_a_factor_against_numpys() -> None:
+    """The rows below the matrix are solved along; of the matrix only the lower triangle is read."""
+    random = np.random.default_rng(0)
+    for size, rows in ((1, 0), (4, 1), (7, 3)):
+        root, below = random.normal(size=(size, size)), random.normal(size=(rows, size))
+        matrix = root @ root.T + 0.1 * np.eye(size)
+        whole = np.concatenate([np.tril(matrix) + np.triu(np.full_like(matrix, 9.0), 1), below])
+        inverse, expected = factor(whole), np.linalg.cholesky(matrix)
+        np.testing.assert_allclose(np.tril(whole[:size]), expected, rtol=1e-10, atol=1e-12)
+        np.testing.assert_allclose(inverse, 1 / np.diagonal(expected), rtol=1e-10)
+        np.testing.assert_allclose(
+            whole[size:], np.linalg.solve(expected, below.T).T, rtol=1e-9, atol=1e-10
+        )
+        vector = random.normal(size=size)
+        solved = vector.copy()
+        solve_transposed(whole, inverse, solved)
+        np.testing.assert_allclose(solved, np.linalg.solve(expected.T, vector), rtol=1e-9)
+
+
+def test_forces_of_linkages_and_cables_satisfy_their_conditions() -> None:
+    """Neither pulls by less than zero, each lets go what is not at its end, and linkages hold."""
+    random, pulling = np.random.default_rng(2), 0
+    for _ in range(100):
+        white, held = random.normal(size=(4, 9)), random.normal(size=(3, 9))
+        matrix = white @ white.T + np.diag(random.uniform(0, 1, 4))
+        vector, offset = random.normal(size=4), random.normal(size=3)
+        x = np.maximum(random.normal(size=4), 0)
+        y = solve_with_equalities(matrix, white, held, vector, offset, x)
+        left = matrix @ x + white @ held.T @ y + vector
+        assert (x >= 0).all()
+        assert (left >= -1e-9).all()
+        np.testing.assert_allclose(x * left, 0, atol=1e-9)
+        np.testing.assert_allclose(held @ white.T @ x + held @ held.T @ y + offset, 0, atol=1e-9)
+        pulling += (x > 0).sum()
+    assert 100 < pulling < 300
 
 
 def test_complementarity_against_trying_every_basis() -> None:

@@ -7,9 +7,10 @@ import dataclasses
 import numpy as np
 import pytest
 
-from backends.contract_suite.states import Make, random_parameters
+from backends.contract_suite.states import Make, commands_of, random_parameters
 from cdcsr.robot.description import Robot
 from cdcsr.simulation.plant import Parameters
+from tests.support.physics import changed, with_parts
 
 
 def test_old_masses_are_forgotten_however_many_there_were(
@@ -22,6 +23,31 @@ def test_old_masses_are_forgotten_however_many_there_were(
         sliders = sum(servo.mass for servo in paper.servos)
         expected = factor * (paper.total_mass - sliders) + sliders
         assert simulation.dynamics().mass_matrix[0, 0, 0] == pytest.approx(expected, rel=1e-12)
+
+
+def test_a_fixed_base_stays_where_it_is_with_any_masses(make: Make, paper: Robot) -> None:
+    robot = changed(paper, base=paper.model_dump()["base"] | {"mount": "fixed"})
+    simulation = make("pybullet", robot)
+    simulation.set_parameters(None, Parameters(base_mass=2.0, link_mass=1.5))
+    for command in commands_of(robot, 20, hold=10):
+        simulation.step(command)
+    state = simulation.state()
+    assert np.abs(state.joint_angles).max() > 0.01
+    assert not state.base_position.any()
+    assert state.base_quaternion[0].tolist() == [1, 0, 0, 0]
+
+
+def test_a_flat_body_may_have_rounded_moments(make: Make, paper: Robot) -> None:
+    """A tenth more of 2, 1 and 3 g m^2 makes the largest exceed the sum of the others by one
+    rounding, which PyBullet would refuse."""
+    moments = (0.002, 0.001, 0.003)
+    assert 1.1 * 0.003 > 1.1 * 0.002 + 1.1 * 0.001
+    heavy = with_parts(paper, link={"inertia": moments})
+    copy, described = make("pybullet", heavy), make("mujoco", heavy)
+    for simulation in (copy, described):
+        simulation.set_parameters(None, Parameters(link_inertia=1.1))
+    found, expected = (each.dynamics().mass_matrix for each in (copy, described))
+    np.testing.assert_allclose(found, expected, rtol=1e-9, atol=1e-9)
 
 
 def test_a_step_uses_the_masses_of_each_copy(make: Make, robot: Robot) -> None:

@@ -11,7 +11,7 @@ import signal
 import numpy as np
 import pytest
 
-from backends.contract_suite.states import assert_same, commands_of, straight
+from backends.contract_suite.states import assert_same, commands_of, random_parameters, straight
 from backends.pybullet.benchmarks import step_cost
 from backends.pybullet.cables import stiff_dampers
 from backends.pybullet.equation import Equation
@@ -19,8 +19,9 @@ from backends.pybullet.options import PybulletOptions, PybulletStockOptions
 from backends.pybullet.rig import rig
 from backends.pybullet.simulation import PybulletSimulation, PybulletStock
 from backends.pybullet.workers import Pool
+from backends.pybullet.world import World
 from cdcsr.errors import CdcsrError, Diverged
-from cdcsr.robot.description import Robot
+from cdcsr.robot.description import Robot, load_robot
 from cdcsr.simulation.contract import Snapshot
 from cdcsr.simulation.plant import Parameters
 from tests.support.physics import changed, momentum
@@ -72,6 +73,33 @@ def test_bullets_damping_takes_momentum_at_its_rate(paper: Robot, damping: float
     left = np.exp(-damping * 400 * paper.time_step)
     np.testing.assert_allclose(now, left * linear, atol=1e-3 * float(np.abs(linear).max()))
     np.testing.assert_allclose(turning, left * angular, atol=1e-3 * float(np.abs(angular).max()))
+
+
+@pytest.mark.parametrize("axis", [(1, 0, 0), (0, 1, 0), (0, 0, 1), (0.6, -0.48, 0.64)])
+def test_the_sign_of_a_quaternion_does_not_jump(paper: Robot, axis: tuple[float, ...]) -> None:
+    """Bullet's is arbitrary; ours is that of the state before, all the way around twice."""
+    simulation = PybulletSimulation(paper)
+    snapshot = simulation.get_snapshot()
+    for angle in np.arange(0.0, 4 * np.pi, 0.3):
+        given = np.array([np.cos(angle / 2), *(np.sin(angle / 2) * np.array(axis))])
+        snapshot.position[0, 3:7] = given
+        simulation.set_snapshot(snapshot)
+        np.testing.assert_allclose(simulation.state().base_quaternion[0], given, atol=1e-12)
+    simulation.close()
+
+
+def test_linkages_that_are_apart_are_together_after_a_step() -> None:
+    robot = load_robot("paper-coupled")
+    simulation = PybulletSimulation(robot)
+    snapshot, random = simulation.get_snapshot(), np.random.default_rng(0)
+    snapshot.position[0, -24:] = 0.1 + random.uniform(-1e-3, 1e-3, 24)
+    snapshot.velocity[0, -24:] = random.uniform(-0.1, 0.1, 24)
+    simulation.set_snapshot(snapshot)
+    simulation.step(np.zeros((1, 8)))
+    angles = simulation.state().joint_angles[0]
+    simulation.close()
+    np.testing.assert_allclose(angles, angles[list(robot.leaders)], rtol=0, atol=1e-12)
+    assert len(set(angles.round(6))) == 4  # two segments, each about two axes
 
 
 def test_no_explicit_damper_is_unstable(robot: Robot) -> None:
@@ -160,6 +188,51 @@ def test_workers_give_the_same_numbers(paper: Robot) -> None:
     assert_same(here.dynamics([1]), there.dynamics([1]))
     here.close()
     there.close()
+
+
+def test_workers_get_what_is_set_for_their_copies(paper: Robot) -> None:
+    """Parameters, loads and states of some copies, which two workers share as 2 and 3."""
+    here, there = PybulletSimulation(paper, 5, workers=0), PybulletSimulation(paper, 5, workers=2)
+    position = here.get_snapshot().position[[0, 3]]
+    position[:, -2:] = [[0.1, -0.2], [0.3, 0.05]]
+    for simulation in (here, there):
+        simulation.set_parameters([1, 4], random_parameters(paper, 2))
+        simulation.set_loads([0, 3], 4, force=(3.0, 0.0, 1.0))
+        simulation.set_loads([2, 4], -1, torque=(0.0, 2.0, 0.0))
+        simulation.place([0, 3], position, np.zeros((2, paper.num_coordinates)))
+        for command in commands_of(paper, 10, 5, hold=5):
+            simulation.step(command)
+    assert_same(here.state(), there.state())
+    assert len({tuple(tip) for tip in here.state().tip_position.round(6).tolist()}) == 5
+    saved = here.get_snapshot()
+    for simulation in (here, there):
+        simulation.reset()
+        simulation.set_snapshot(saved)
+        simulation.step(np.zeros((5, 8)))
+    assert_same(here.state(), there.state())
+    here.close()
+    there.close()
+
+
+def test_workers_are_as_many_as_copies_and_processors_allow(
+    paper: Robot, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """From 16 copies on, one for each 8 of them, but no more than processors, and never one."""
+    asked: list[tuple[int, int]] = []
+
+    class Counted(World):
+        def __init__(self, robot: Robot, num: int, options: PybulletOptions, workers: int = 0):
+            super().__init__(robot, 1, options)
+            asked.append((num, workers))
+
+    monkeypatch.setattr("backends.pybullet.simulation.World", Counted)
+    monkeypatch.setattr("backends.pybullet.simulation.Pool", Counted)
+    for processors in (1, 3):
+        monkeypatch.setattr("backends.pybullet.simulation.processors", lambda n=processors: n)
+        for num in (15, 16, 17, 40):
+            PybulletSimulation(paper, num).close()
+    alone = [(15, 0), (16, 0), (17, 0), (40, 0)]
+    assert asked == [*alone, (15, 0), (16, 2), (17, 3), (40, 3)]
 
 
 def test_workers_end_with_their_pool(paper: Robot) -> None:
