@@ -233,7 +233,7 @@ def test_what_each_begins_with(tmp_path: Path, demonstrations: Path, algorithm: 
 
 
 def test_a_saturated_output_costs_the_square_of_its_excess(make: Make, small_batch: Batch) -> None:
-    """Of outputs z before tanh, where |z| is above 3, as a mean over all of them."""
+    """The price is the mean of (|z| - 3)^2 over outputs z before tanh, where |z| is above 3."""
     td3, plain = (make(TD3, saturation_penalty=price) for price in (0.5, 0.0))
     with torch.no_grad():
         for learner in (td3, plain):

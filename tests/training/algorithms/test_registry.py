@@ -53,7 +53,7 @@ def test_numbers_stay_within_their_bounds(
 
 
 def test_every_algorithm_has_a_title_a_colour_and_a_place_in_tables() -> None:
-    """Those of the study come first, then controllers that do not learn, then unknown ones."""
+    """The study's come first, then controllers that do not learn, then unknown ones."""
     names = [*ALGORITHMS, "jacobian", "nearest", "someone's"]
     assert [algorithm_order(name) for name in names] == list(range(len(names)))
     assert (algorithm_title("clasp"), algorithm_title("jacobian")) == (
