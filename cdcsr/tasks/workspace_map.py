@@ -69,6 +69,27 @@ class Workspace:
         return self.origin + (self.cells + 0.5) * self.edges
 
     @property
+    def hull(self) -> Array:
+        """The corners of the faces that cells share with no other cell, shape (n, 4, 3), world
+        frame, in [m]; of a flat map the cells themselves."""
+        low = self.cells.min(axis=0)
+        held = np.zeros(np.ptp(self.cells, axis=0) + 3, dtype=bool)  # with an empty rim
+        held[tuple((self.cells - low + 1).T)] = True
+        faces = []
+        for axis in range(3):
+            across, up = (axis + 1) % 3, (axis + 2) % 3
+            if not (self.edges[across] and self.edges[up]):
+                continue
+            for side in (0, 1):
+                outer = held & ~np.roll(held, 1 - 2 * side, axis)
+                corners = np.repeat((np.argwhere(outer) + low - 1.0)[:, None], 4, axis=1)
+                corners[:, :, axis] += side
+                corners[:, 1:3, across] += 1
+                corners[:, 2:, up] += 1
+                faces.append(corners)
+        return self.origin + np.concatenate(faces) * self.edges
+
+    @property
     def digest(self) -> str:
         """16 hexadecimal digits of the content."""
         numbers = self.origin.astype(float), self.edges.astype(float), self.cells.astype(np.int16)

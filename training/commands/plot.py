@@ -7,8 +7,11 @@ from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
     from cdcsr.files import JsonObject
+    from training.measure.evaluation import Result
 
 _KINDS = {
+    "workspace": "a map made by `cdcsr workspace`, or the JSON file of `cdcsr evaluate`",
+    "parity": "the JSON file of `cdcsr parity`",
     "targets": "the JSON file of `cdcsr evaluate` or `cdcsr transfer`",
     "matrix": "the JSON file of `cdcsr transfer` or `cdcsr evaluate`",
     "sweep": "the JSON file of `cdcsr sweep`",
@@ -29,19 +32,20 @@ def plot(
     episode: int = 1,
     force: bool = False,
 ) -> None:
-    """Draw what other commands wrote: success, sweeps, learning, episodes; PNG or PDF.
+    """Draw what other commands wrote: success, sweeps, learning, episodes, parity; PNG or PDF.
 
-    `targets` shows in 3D which targets were reached, `matrix` the success of each controller in
-    each engine, `sweep` success against numbers of the plant, `learning` success during training,
-    and `episode` the distance, travel, tension and motion of the base over time. Success is drawn
-    with its 95 % interval. Maps and parity are drawn by `cdcsr workspace` and `cdcsr parity`.
+    `targets` shows in 3D which targets were reached, `workspace` the same inside the map of the
+    workspace, `matrix` the success of each controller in each engine, `sweep` success against
+    numbers of the plant, `learning` success during training, `episode` the distance, travel,
+    tension and motion of the base over time, and `parity` how far engines are apart. Success is
+    drawn with its 95 % interval.
 
     Args:
-        kind: targets, matrix, sweep, learning or episode.
-        file: the JSON file of `cdcsr evaluate`, `transfer` or `sweep`; for learning the folder of a
-            run; for episode a dataset.
+        kind: targets, workspace, matrix, sweep, learning, episode or parity.
+        file: the JSON file of `cdcsr evaluate`, `transfer`, `sweep` or `parity`; for workspace also
+            a map; for learning the folder of a run; for episode a dataset.
         out: the picture, .png or .pdf.
-        robot: of targets: the robot to draw beside them.
+        robot: of targets and workspace: the robot to draw with them.
         backend: of episode: the engines in which its commands are repeated.
         episode: of episode: which one of the dataset, counted from 1.
         force: replace a file that is there already.
@@ -73,13 +77,11 @@ def _draw(
     Raises:
         KeyError, TypeError, ValueError, IndexError: it is of another kind.
     """
-    import numpy as np
-
     from cdcsr.robot.description import load_robot
-    from training.measure.evaluation import Result
+    from cdcsr.tasks.workspace_map import load_workspace
     from training.plots.learning_curve import draw_learning_curve
-    from training.plots.measured import draw_matrix, draw_sweep
-    from training.plots.targets import draw_targets
+    from training.plots.measured import draw_matrix, draw_parity, draw_sweep
+    from training.plots.targets import draw_targets, draw_workspace
 
     if kind == "learning":
         if not (file / "metrics.csv").is_file():
@@ -91,16 +93,52 @@ def _draw(
         draw_sweep(_rows(file, "points"), out)
     elif kind == "matrix":
         draw_matrix(_rows(file, "cells"), out)
+    elif kind == "parity":
+        draw_parity(_read(file), out)
+    elif kind == "workspace" and file.suffix == ".npz":
+        described = load_robot(robot)
+        draw_workspace({}, load_workspace(described, file), described, out)
+    elif kind == "workspace":
+        described, results = load_robot(robot), _results(file)
+        own = next((cell["space"] for cell in _rows(file, "cells")), "")
+        path = Path(own) if str(own).endswith(".npz") else None
+        draw_workspace(results, load_workspace(described, path), described, out)
     else:
-        results = {}
-        for cell in _rows(file, "cells"):
-            success, length, places = (
-                np.array(cell[name]) for name in ("success", "length", "targets")
-            )
-            unknown = np.full(len(success), np.nan)
-            title = f"{cell['controller']} in {cell['backend']}, {cell['space']}"
-            results[title] = Result(success.astype(bool), length, unknown, places)
-        draw_targets(results, load_robot(robot), out)
+        draw_targets(_results(file), load_robot(robot), out)
+
+
+def _results(file: Path) -> dict[str, Result]:
+    """Return the cells in a JSON file as results by their titles.
+
+    Raises:
+        KeyError, TypeError, ValueError: there are none, or they lack something.
+    """
+    import numpy as np
+
+    from training.measure.evaluation import Result
+
+    results = {}
+    for cell in _rows(file, "cells"):
+        success, length, places = (
+            np.array(cell[name]) for name in ("success", "length", "targets")
+        )
+        unknown = np.full(len(success), np.nan)
+        title = f"{cell['controller']} in {cell['backend']}, {cell['space']}"
+        results[title] = Result(success.astype(bool), length, unknown, places)
+    return results
+
+
+def _read(file: Path) -> JsonObject:
+    """Return the object in a JSON file.
+
+    Raises:
+        ValueError: it is a folder.
+    """
+    from cdcsr.files import read_json
+
+    if file.is_dir():
+        raise ValueError("it is a folder")
+    return read_json(file)
 
 
 def _rows(file: Path, key: str) -> list[JsonObject]:
@@ -109,11 +147,7 @@ def _rows(file: Path, key: str) -> list[JsonObject]:
     Raises:
         ValueError: there are none.
     """
-    from cdcsr.files import read_json
-
-    if file.is_dir():
-        raise ValueError("it is a folder")
-    rows = read_json(file).get(key)
+    rows = _read(file).get(key)
     if not isinstance(rows, list) or not rows or not all(isinstance(row, dict) for row in rows):
         raise ValueError(f"it has no {key}")
     return rows

@@ -95,6 +95,74 @@ def draw_sweep(points: Sequence[JsonObject], path: Path) -> None:
         panels[0].legend(fontsize=8)
 
 
+def draw_parity(parity: JsonObject, path: Path) -> None:
+    """Draw how far engines are apart: after one step, and without feedback at several time steps.
+
+    Args:
+        parity: the object in the file of `cdcsr parity --json`.
+        path: the file to write.
+    """
+    steps, loops = parity["one_step"], parity["open_loop"]
+    with drawn(path, (3.6 * (1 + len(loops)) + 0.6, 4.6), "constrained") as figure:
+        first, *panels = figure.subplots(1, 1 + len(loops))
+        _one_step(first, steps, list(parity["engines"]))
+        for axes, loop in zip(panels, loops, strict=True):
+            _open_loop(axes, loop, list(parity["engines"]))
+            axes.sharey(panels[0])
+        panels[0].set_ylabel("tip, mean over an episode [mm]")
+        for axes in (first, panels[0]):
+            marks, labels = axes.get_legend_handles_labels()
+            place = "outside lower left" if axes is first else "outside lower right"
+            figure.legend(marks, labels, loc=place, fontsize=8, ncols=1 if axes is first else 2)
+        figure.suptitle(f"{parity['robot']}: how far engines are apart")
+
+
+def _one_step(axes: Axes, parts: Sequence[JsonObject], engines: Sequence[str]) -> None:
+    """Draw the differences after one step, from the median to the 95th percentile, as parts of the
+    quantity's own size."""
+    quantities = list(parts[0]["differences"])
+    for n, part in enumerate(parts):
+        rows = [part["differences"][name] for name in quantities]
+        size = np.array([row["size_p95"] for row in rows])
+        median, high = (np.array([row[key] for row in rows]) / size for key in ("median", "p95"))
+        place = np.arange(len(rows)) + 0.12 * (n - (len(parts) - 1) / 2)
+        engine = engines.index(part["pair"].partition(" - ")[0])
+        color, label = COLORS[engine % len(COLORS)], f"{part['pair']}, {part['commands']}"
+        mark, face = _MARKERS[engine % 8], color if part["commands"] == "demonstrator" else "white"
+        median, high = np.maximum([median, high], 1e-16)  # a logarithmic scale has no zero
+        axes.hlines(place, median, high, color=color, lw=2)
+        axes.plot(median, place, mark, color=color, mfc=face, label=label, ms=6)
+    axes.set(
+        xscale="log", title="after one step from one state", ylim=(len(quantities) - 0.5, -0.5)
+    )
+    axes.set_xlabel("difference / size; median to 95 % of states")
+    axes.set_yticks(range(len(quantities)), [textwrap.fill(name, 12) for name in quantities])
+    axes.grid()
+
+
+def _open_loop(axes: Axes, loop: JsonObject, engines: Sequence[str]) -> None:
+    """Draw each engine's error, and its distance from the first one, against the time step."""
+    time = 1e3 * np.array(loop["time_steps"])
+    for n, (engine, errors) in enumerate(loop["errors"].items()):
+        color, mark = COLORS[n % len(COLORS)], _MARKERS[n % 8]
+        # Engines that agree lie on each other: the first has the largest marks.
+        size, title = max(3, 9 - 3 * n), engine_title(engine)
+        error = 1e3 * np.array(errors)
+        axes.plot(time, error, mark + "-", color=color, ms=size, label=f"{title}, from its limit")
+        if engine in loop["tip_distance"]:
+            apart = 1e3 * np.maximum(loop["tip_distance"][engine]["mean"], 1e-12)
+            label = f"{title}, from {engine_title(engines[0])}"
+            axes.plot(time, apart, mark + "--", color=color, ms=4, mfc="white", label=label)
+    floor = 1e3 * loop["noise_floor"]["mean"]
+    label = f"commands off by {loop['noise_floor']['disturbance']:g}"
+    axes.axhline(floor, color=SOFT, ls=":", lw=1.2, label=label)
+    axes.set(xscale="log", yscale="log", xlabel="time step [ms]")
+    axes.set_xticks(time, [f"{each:g}" for each in time])
+    axes.minorticks_off()
+    axes.set_title(f"same commands: {loop['commands']}")
+    axes.grid()
+
+
 def draw_episode(recordings: Sequence[Recording], robot: Robot, period: float, path: Path) -> None:
     """Draw distance, travel, tension and the base's motion over time, a column an engine.
 

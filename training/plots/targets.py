@@ -7,22 +7,28 @@ from collections.abc import Mapping
 from pathlib import Path
 
 import numpy as np
+from matplotlib.colors import to_rgba
 from matplotlib.figure import Figure
 from matplotlib.gridspec import SubplotSpec
 from matplotlib.ticker import MaxNLocator
 from mpl_toolkits.mplot3d import Axes3D
+from mpl_toolkits.mplot3d.art3d import Poly3DCollection
 from mpl_toolkits.mplot3d.axis3d import Axis
 from numpy.typing import NDArray
 
 from cdcsr.errors import CdcsrError
-from cdcsr.plots import INK, SOFT, drawn
+from cdcsr.plots import COLORS, INK, SOFT, drawn
 from cdcsr.robot.description import Robot
+from cdcsr.robot.poses import tip_at_start
+from cdcsr.tasks.workspace_map import Workspace
 from training.measure.evaluation import Result
 
 Array = NDArray[np.float64]
 
 REACHED_COLOR, MISSED_COLOR = "#23945a", "#d0323f"
 _PALE = "#c9ccd1"
+_VOLUME = "#7b4fa3"
+"""The colour of a map, as in the live view."""
 _ELEVATION, _AZIMUTH = 16, -58
 """Direction of view, in degrees."""
 
@@ -77,6 +83,79 @@ def draw_targets(results: Mapping[str, Result], robot: Robot, path: Path) -> Non
         figure.legend(
             list(handles.values()), list(handles), loc="lower left", bbox_to_anchor=(0.02, 0.0)
         )
+
+
+def draw_workspace(
+    results: Mapping[str, Result], workspace: Workspace, robot: Robot, path: Path
+) -> None:
+    """Draw a map of the workspace as a translucent body, seen from two sides, and in it which
+    targets were reached; a row a result.
+
+    Args:
+        results: by the titles of their rows; without any the map is drawn alone.
+        workspace: the map.
+        robot: drawn straight.
+        path: the PNG or PDF to write.
+    """
+    hull = workspace.hull
+    corners = np.concatenate(
+        [hull.reshape(-1, 3), *(result.targets for result in results.values())]
+    )
+    tip = tip_at_start(robot)
+    low, high = (edge(np.vstack([corners, tip]), axis=0) for edge in (np.min, np.max))
+    rows = results or {"": None}
+    height = 3.9 * len(rows) + 0.3
+    with drawn(path, (8.2, height)) as figure:
+        grid = figure.add_gridspec(
+            len(rows),
+            2,
+            left=0.0,
+            right=0.96,
+            bottom=0.4 / height,
+            top=1.0,
+            wspace=0.16,
+            hspace=0.1,
+        )
+        for row, (name, result) in enumerate(rows.items()):
+            for column, azimuth in enumerate((_AZIMUTH, _AZIMUTH + 90)):
+                axes = _add_axes(figure, grid[row, column])
+                axes.view_init(_ELEVATION, azimuth)
+                axes.computed_zorder = False
+                _frame(axes, (low + high) / 2, np.full(3, 0.52 * (high - low).max()))
+                faces, edges = to_rgba(_VOLUME, 0.05), to_rgba(_VOLUME, 0.15)
+                body = Poly3DCollection(hull, facecolor=faces, edgecolor=edges, linewidth=0.4)
+                body.set_zorder(1)
+                axes.add_collection3d(body)
+                _draw_arm(axes, robot)
+                if result is not None:
+                    _draw_success(axes, result)
+                for axis, letter in ((axes.xaxis, "x"), (axes.yaxis, "y"), (axes.zaxis, "z")):
+                    axis.set_major_locator(MaxNLocator(4))
+                    axis.set_label_text(f"{letter} [m]")
+                    axis.labelpad = -3
+            count = f"{len(workspace.cells)} cells of {robot.name}'s workspace"
+            if result is not None:
+                count = f"{name}\n{int(result.success.sum())} of {len(result.success)} reached"
+            figure.text(0.5, 1 - (row + 0.03) * 3.9 / height, count, ha="center", va="top")
+        marks, labels = figure.axes[0].get_legend_handles_labels()
+        figure.legend(marks, labels, loc="lower center", ncols=3)
+
+
+def _draw_success(axes: Axes3D, result: Result) -> None:
+    """Draw reached and missed targets, which differ in colour and in shape."""
+    blue, orange = COLORS[:2]
+    reached, missed = result.targets[result.success], result.targets[~result.success]
+    axes.scatter(*reached.T, s=12, color=blue, lw=0, depthshade=False, label="reached", zorder=3)
+    axes.scatter(
+        *missed.T,
+        s=34,
+        color=orange,
+        marker="x",
+        lw=1.8,
+        depthshade=False,
+        label="missed",
+        zorder=4,
+    )
 
 
 def _draw_overview(axes: Axes3D, robot: Robot, targets: Array) -> None:

@@ -47,6 +47,24 @@ def test_a_cell_needs_all_its_corners() -> None:
     assert cells_between(grid[(grid != [2, 1, 1]).any(axis=1)])[0].tolist() == [[0, 0, 0]]
 
 
+def test_the_hull_is_what_cells_share_with_no_other_cell() -> None:
+    """Three cells of 1 x 2 x 3 m make an L of 3 * 22 m^2, less two faces each of 6 m^2 (across x)
+    and of 3 m^2 (across y)."""
+    cells = np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0]], dtype=np.int16)
+    map_ = Workspace("", np.array([4.0, 5.0, 6.0]), np.array([1.0, 2.0, 3.0]), cells)
+    sides = map_.hull[:, 1::2] - map_.hull[:, :1]
+    normal = np.cross(sides[:, 0], sides[:, 1])
+    assert np.abs(normal).sum() == pytest.approx(3 * 22 - 2 * 6 - 2 * 3)
+    lower, upper = map_.hull.min(axis=(0, 1)), map_.hull.max(axis=(0, 1))
+    np.testing.assert_allclose([lower, upper], [[4, 5, 6], [6, 9, 9]])
+    # One side of each face lies in a cell, the other does not.
+    middle, step = map_.hull.mean(axis=1), 1e-3 * normal
+    assert (map_.holds(middle + step) != map_.holds(middle - step)).all()
+    flat = Workspace("", np.zeros(3), np.array([1.0, 0.0, 3.0]), cells[:2])
+    assert np.abs(np.ptp(flat.hull, axis=1)).prod(axis=1).max() == 0
+    np.testing.assert_allclose(np.ptp(flat.hull[:, :, [0, 2]], axis=1), [[1, 3]] * 4)
+
+
 def test_points_in_a_plane_make_flat_cells() -> None:
     grid = np.stack(np.meshgrid(range(2), [4], range(3), indexing="ij"), axis=-1).reshape(-1, 3)
     cells, wide = cells_between(grid)

@@ -15,8 +15,10 @@ from numpy.typing import NDArray
 
 from cdcsr.cli import main
 from cdcsr.robot.description import load_robot
+from cdcsr.tasks.workspace_map import load_workspace
 from controllers.demonstrations import load
-from training.plots import measured
+from training.commands.plot import _KINDS
+from training.plots import measured, targets
 
 CELL = {"controller": "jacobian", "backend": "mujoco", "space": "anchor", "success_rate": 0.7}
 RANGE = {"success_low": 0.4, "success_high": 0.89}
@@ -36,7 +38,8 @@ def figures(monkeypatch: pytest.MonkeyPatch) -> list[Figure]:
             found.append(figure)
             yield figure
 
-    monkeypatch.setattr(measured, "drawn", drawn)
+    for module in (measured, targets):
+        monkeypatch.setattr(module, "drawn", drawn)
     return found
 
 
@@ -95,13 +98,59 @@ def test_an_episode_shows_what_was_recorded(tmp_path: Path, figures: list[Figure
     assert main(argv) == 2  # the picture is there
 
 
+def test_a_map_is_drawn_with_what_was_reached_in_it(tmp_path: Path, figures: list[Figure]) -> None:
+    """Two views; of the three targets two are reached, and every outer face is in the body."""
+    paper = load_robot("paper")
+    whole = load_workspace(paper)
+    places = whole.centers[:3].tolist()
+    cell = CELL | {"space": "workspace", "success": [1, 0, 1], "length": [9] * 3, "targets": places}
+    file = written(tmp_path / "cells.json", {"cells": [cell]})
+    assert main(["plot", "workspace", file, "--out", str(tmp_path / "a.pdf")]) == 0
+    assert (tmp_path / "a.pdf").read_bytes().startswith(b"%PDF")
+    for axes in figures[0].axes:
+        body, reached, missed = axes.collections
+        assert [np.shape(part.get_offsets())[0] for part in (reached, missed)] == [2, 1]
+        assert len(body.get_paths()) in (0, len(whole.hull))  # before and after it is projected
+        assert not np.array_equal(reached.get_facecolor(), missed.get_facecolor())
+    whole.save(tmp_path / "map.npz")
+    argv = ["plot", "workspace", str(tmp_path / "map.npz"), "--out", str(tmp_path / "b.png")]
+    assert main(argv) == 0
+    assert [len(axes.collections) for axes in figures[1].axes] == [1, 1]
+    assert main([*argv[:3], "--out", str(tmp_path / "c.png"), "--robot", "lab-arm"]) == 2
+
+
+def test_parity_shows_differences_by_size_and_by_time_step(
+    tmp_path: Path, figures: list[Figure]
+) -> None:
+    row = {"unit": "m/s", "median": 0.02, "p95": 0.3, "max": 0.5, "size_p95": 2.0}
+    step = {"pair": "other - mujoco", "commands": "random", "differences": {"tip velocity": row}}
+    loop = {
+        "commands": "random",
+        "time_steps": [2e-3, 1e-3],
+        "errors": {"mujoco": [4e-3, 2e-3], "other": [6e-3, 3e-3]},
+        "tip_distance": {"other": {"mean": [8e-3, 7e-3]}},
+        "noise_floor": {"disturbance": 1e-6, "mean": 5e-8},
+    }
+    data = {"robot": "paper", "engines": ["mujoco", "other"], "one_step": [step]}
+    file = written(tmp_path / "parity.json", data | {"open_loop": [loop]})
+    assert main(["plot", "parity", file, "--out", str(tmp_path / "a.png")]) == 0
+    one, several = figures[0].axes
+    np.testing.assert_allclose(points(one.lines[0]), [(0.01, 0)])
+    (path,) = one.collections[0].get_paths()
+    np.testing.assert_allclose(np.asarray(path.vertices)[:, 0], [0.01, 0.15])
+    shown = [points(line) for line in several.lines[:3]]
+    np.testing.assert_allclose(shown[0], [(2, 4), (1, 2)])
+    np.testing.assert_allclose(shown[1], [(2, 6), (1, 3)])
+    np.testing.assert_allclose(shown[2], [(2, 8), (1, 7)])
+
+
 def test_targets_are_drawn(tmp_path: Path) -> None:
     file = written(tmp_path / "cells.json", {"cells": [CELL | EPISODES]})
     assert main(["plot", "targets", file, "--out", str(tmp_path / "a.png")]) == 0
     assert (tmp_path / "a.png").stat().st_size > 5_000
 
 
-@pytest.mark.parametrize("kind", ["targets", "matrix", "sweep", "learning", "episode"])
+@pytest.mark.parametrize("kind", [*_KINDS])
 def test_an_input_of_another_kind_is_one_line(
     kind: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
