@@ -19,7 +19,7 @@ from importlib.metadata import EntryPoint, entry_points, version
 from pathlib import Path
 from typing import Any, ParamSpec, TextIO
 
-from cdcsr.errors import CdcsrError, CdcsrWarning, unknown_choice
+from cdcsr.errors import CdcsrError, CdcsrWarning, missing_package, unknown_choice
 
 _GROUP = "cdcsr.commands"
 _FILE_OPTIONS = "json", "csv"
@@ -132,6 +132,11 @@ def run(function: Callable[..., Any], prog: str, argv: Sequence[str]) -> int:
         return _say(f"ended by {signal.Signals(number).name}", 128 + number)
     except OSError:
         raise  # perhaps the output, of which the decorator knows
+    except ModuleNotFoundError as error:
+        missing = missing_package(f"`{prog}`", error)
+        if missing is not None:
+            return _fail(str(missing))
+        return _unforeseen(f"Not foreseen: {_reason(error)}", error)
     except MemoryError as error:
         return _unforeseen(
             f"This machine's memory does not suffice: {str(error) or 'no details'}", error

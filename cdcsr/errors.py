@@ -10,6 +10,11 @@ _LONGEST = 1_900
 """The length at which a message is cut; input can be quoted in it."""
 
 
+_OURS = ("cdcsr", "backends", "controllers", "training", "models")
+_PACKAGES = {"PIL": "pillow"}
+"""Packages that do not have the name of their module."""
+
+
 class CdcsrError(Exception):
     """Report what is wrong in the input, what is allowed, and what to do.
 
@@ -58,6 +63,32 @@ class Diverged(CdcsrError, FloatingPointError):
             f"{engine}: copy {copy} diverged at t = {time:.4f} s ({what}); "
             "use a smaller time_step, or check the stiffnesses and masses in the robot description."
         )
+
+
+class MissingPackage(CdcsrError):
+    """Report that a package is not installed, or that its version lacks a module."""
+
+
+def missing_package(who: str, error: ModuleNotFoundError) -> MissingPackage | None:
+    """Return the error for a module that is not there; None if it is one of this project.
+
+    Args:
+        who: what needs it.
+        error: what the import raised.
+    """
+    module = error.name or ""
+    package = module.partition(".")[0]
+    if not package or package in _OURS:
+        return None
+    install = _PACKAGES.get(package, package.replace("_", "-"))
+    if module == package:
+        return MissingPackage(
+            f"{who} needs the package {install}, which is not installed: pip install {install}."
+        )
+    return MissingPackage(
+        f"{who} needs {module}, which the installed {install} lacks: "
+        f"pip install --upgrade {install}."
+    )
 
 
 def cannot_write(path: Path, error: OSError) -> CdcsrError:

@@ -71,6 +71,10 @@ class Controller(ABC):
         them. None stands for those of the paper's ten demonstrations."""
         return None
 
+    def on(self, plant: Robot) -> Controller:
+        """Return a controller that also acts on one plant with other numbers: by default itself."""
+        return self
+
     def begin(self, conditions: Conditions) -> None:  # noqa: B027 (a controller may ignore it)
         """Prepare for a batch of episodes; called before the first action of each batch."""
 

@@ -8,8 +8,7 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from backends.viewers.cable_paths import CablePaths
-from backends.viewers.software import CABLE_RADIUS
-from cdcsr.robot.colors import DEBRIS, TARGET, TARGET_RADIUS, TIP
+from cdcsr.robot.colors import CABLE_RADIUS, DEBRIS, TARGET, TARGET_RADIUS, TIP
 from cdcsr.robot.description import Robot
 from cdcsr.robot.meshes import link_parts, visual_meshes
 from cdcsr.robot.poses import link_poses

@@ -16,7 +16,15 @@ from trimesh.visual import ColorVisuals
 
 from backends.pybullet.client import connect
 from backends.viewers.cable_paths import CablePaths
-from cdcsr.robot.colors import BACKGROUND, CABLE, TARGET, TARGET_RADIUS, TIP, TIP_RADIUS
+from cdcsr.robot.colors import (
+    BACKGROUND,
+    CABLE,
+    CABLE_RADIUS,
+    TARGET,
+    TARGET_RADIUS,
+    TIP,
+    TIP_RADIUS,
+)
 from cdcsr.robot.description import Robot
 from cdcsr.robot.meshes import link_parts, visual_meshes
 from cdcsr.robot.poses import link_poses
@@ -25,8 +33,6 @@ from cdcsr.simulation.cameras import HEIGHT, WIDTH, camera_angles
 
 Array = NDArray[np.float64]
 
-CABLE_RADIUS = 0.002
-"""The radius of the drawn cables, in [m]."""
 _OVERSAMPLING = 2
 _MARGIN = 0.12
 """The free space around the robot, as a share of its height."""

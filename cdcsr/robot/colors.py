@@ -15,6 +15,8 @@ CABLE: Color = (60, 60, 66, 255)
 BACKGROUND = (246, 247, 250)
 TARGET_RADIUS, TIP_RADIUS = 0.018, 0.010
 """The radii of the marks of an arm of 2.4 m, in [m]."""
+CABLE_RADIUS = 0.002
+"""That of the drawn cables, in [m]."""
 
 
 def segment_color(segment: int) -> Color:

@@ -17,7 +17,13 @@ from importlib.metadata import EntryPoint, entry_points
 
 from pydantic import ValidationError
 
-from cdcsr.errors import CdcsrError, CdcsrWarning, unknown_choice
+from cdcsr.errors import (
+    CdcsrError,
+    CdcsrWarning,
+    MissingPackage,
+    missing_package,
+    unknown_choice,
+)
 from cdcsr.robot.description import Robot
 from cdcsr.robot.stability import stable_step
 from cdcsr.simulation.contract import EngineOptions, Simulation
@@ -43,7 +49,30 @@ def backend_names() -> list[str]:
 def principal_engines() -> list[str]:
     """Return the names of the installed engines that are no variant of another; see
     :attr:`cdcsr.simulation.contract.Simulation.variant_of`."""
-    return [name for name in backend_names() if load_backend(name).variant_of is None]
+    return [name for name in working_engines() if load_backend(name).variant_of is None]
+
+
+def working_engines() -> list[str]:
+    """Return the names of the installed engines whose own packages are installed too.
+
+    Warns:
+        CdcsrWarning: an engine is left out.
+
+    Raises:
+        CdcsrError: there is none.
+    """
+    working, missing = [], []
+    for name in backend_names():
+        try:
+            load_backend(name)
+            working.append(name)
+        except MissingPackage as error:
+            missing.append(str(error))
+    if not working:
+        raise CdcsrError(f"No engine can be used. {' '.join(missing)}".strip())
+    for message in missing:
+        warnings.warn(f"{message} It is left out.", CdcsrWarning, stacklevel=2)
+    return working
 
 
 def load_backend(name: str) -> type[Simulation]:
@@ -64,13 +93,17 @@ def _parts(name: str) -> list[str]:
 
 
 def engine_title(name: str) -> str:
-    """Return an engine's title, or the name itself if no such engine was ever known."""
+    """Return an engine's title, or the name itself if the engine is unknown or cannot be loaded."""
     if len(parts := _parts(name)) > 1:
         return " and ".join(map(engine_title, parts))
     bare, _, options = name.partition(":")
     if bare not in backend_names():
         return _FORMER.get(name, name)
-    return load_backend(name).title + (f" ({options.replace(',', ', ')})" if options else "")
+    try:
+        title = load_backend(name).title
+    except MissingPackage:  # stored results may name it
+        return name
+    return title + (f" ({options.replace(',', ', ')})" if options else "")
 
 
 def chosen_backends(name: str) -> list[str]:
@@ -89,10 +122,10 @@ def chosen_backends(name: str) -> list[str]:
     bare = name.partition(":")[0]
     if bare not in [*installed, "all"]:
         raise CdcsrError(unknown_choice("backend", bare, [*installed, "all"]))
-    chosen = installed if name == "all" else [name]
-    for each in chosen:  # an error should come before the work
-        load_backend(each)
-    return chosen
+    if name == "all":
+        return working_engines()
+    load_backend(name)  # an error should come before the work
+    return [name]
 
 
 def engine_factory(name: str) -> Callable[[Robot, int], Simulation]:
@@ -158,7 +191,10 @@ def _backend_with_options(text: str) -> tuple[type[Simulation], EngineOptions]:
     points = _installed(tuple(sys.path))
     if name not in points:
         raise CdcsrError(unknown_choice("backend", name, list(points)))
-    backend: type[Simulation] = points[name].load()
+    try:
+        backend: type[Simulation] = points[name].load()
+    except ModuleNotFoundError as error:
+        raise missing_package(f"The engine {name}", error) or error from None
     fields = backend.options_type.model_fields
     values: dict[str, str] = {}
     for pair in listed.split(",") if colon else []:

@@ -13,7 +13,7 @@ import torch
 from cdcsr.files import read_json, write_json, write_text
 from cdcsr.folders import WorkingFolder
 from cdcsr.robot.description import load_robot
-from cdcsr.simulation.engines import backend_names, engine_title, principal_engines
+from cdcsr.simulation.engines import engine_title, principal_engines, working_engines
 from controllers.jacobian import JacobianController
 from training.algorithms.registry import algorithm_title
 from training.commands.build_model import build_model
@@ -161,7 +161,7 @@ class Demo:
         )
         measured = {
             "weights": [policy.digest for policy in self._policies()],
-            "engines": backend_names(),
+            "engines": working_engines(),
             "episodes": self._amounts.episodes,
         }
         targets = "the same held-out targets in every engine"
@@ -198,7 +198,7 @@ class Demo:
         cells = transfer(
             [JacobianController(self._robot), *self._policies()],
             self._robot,
-            backend_names(),
+            working_engines(),
             [SPACE],
             episodes,
             progress=lambda cell: print(

@@ -84,6 +84,8 @@ def _packages() -> Iterator[Finding]:
             yield Finding("packages", package, version(package))
         except PackageNotFoundError:
             yield Finding("packages", package, "of unknown version")
+        except ModuleNotFoundError as error:
+            yield Finding("packages", package, _reason(error), f"pip install {package}")
         except Exception as error:  # a broken package may raise anything
             remedy = f"Install it again: pip install --force-reinstall {package}"
             yield Finding("packages", package, f"cannot be imported: {_reason(error)}", remedy)

@@ -42,7 +42,9 @@ def engines(*, robot: str = "paper", json: Path | None = None) -> None:
                 },
                 "step_us": {num: _step_us(description, name, num) for num in (1, 32)},
             }
-        except (ImportError, CdcsrError) as error:
+        except CdcsrError as error:
+            found[name] = {"error": str(error)}
+        except ImportError as error:
             found[name] = {"error": f"{type(error).__name__}: {error}"}
     for name, row in found.items():
         print("\n".join(_shown(name, row)), end="\n\n")

@@ -119,7 +119,10 @@ def _draw(cells: list[Cell], robot: Robot, plot: Path) -> None:
 
 def set_threads() -> None:
     """Let torch compute in one thread, so that the same bits come out on every machine."""
-    import torch
+    try:
+        import torch
+    except ModuleNotFoundError:
+        return  # scripted controllers need none, and policies say what they need
 
     torch.set_num_threads(1)
 
@@ -139,14 +142,15 @@ def find_controller(name: str, robot: Robot) -> Controller:
     from cdcsr.files import note
     from controllers.registry import SCRIPTED, scripted_controller
     from controllers.stable_baselines import StableBaselines
-    from training.policy import find_policy
-    from training.run.train_options import is_unfinished
 
     scripted = scripted_controller(name, robot)
     if scripted is not None:
         return scripted
     if name.endswith(".zip"):
         return StableBaselines(name)
+    from training.policy import find_policy  # needs torch
+    from training.run.train_options import is_unfinished
+
     policy = find_policy(name, SCRIPTED)
     done = policy.card.get("unfinished")
     if isinstance(done, dict) or is_unfinished(Path(name)):  # older cards do not tell
@@ -170,7 +174,10 @@ def robot_of(controller: Controller, robot: Robot, asked: bool) -> Robot:
     """
     from cdcsr.errors import CdcsrError
     from cdcsr.robot.description import differences
-    from training.policy import Policy
+
+    if controller.space is None:
+        return robot
+    from training.policy import Policy  # needs torch
 
     if not isinstance(controller, Policy):
         return robot

@@ -55,7 +55,6 @@ def transfer(
     from cdcsr.robot.description import load_robot
     from cdcsr.tasks.spaces import SPACES
     from training.commands.measured import find_controller, report_cells, set_threads
-    from training.policy import Policy
 
     set_threads()
     _check_names(policies)
@@ -72,7 +71,10 @@ def transfer(
     for path, one in zip(policies, controllers, strict=True):
         if names[one.name] > 1:  # such as runs with the same options in different folders
             one.name = f"{one.name} ({path})"
-    _check_scales([one.robot.scale for one in learned if isinstance(one, Policy)])
+    if learned:
+        from training.policy import Policy  # needs torch
+
+        _check_scales([one.robot.scale for one in learned if isinstance(one, Policy)])
     report_cells(
         controllers,
         acted_on,

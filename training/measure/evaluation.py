@@ -21,7 +21,6 @@ from controllers.rollout import rollout
 from training.config.seeds import TEST_SEED
 from training.measure.plant_axes import ActualPlant
 from training.measure.statistics import wilson
-from training.policy import Policy
 
 Array = NDArray[np.float64]
 
@@ -124,7 +123,7 @@ def evaluate(
     if plant.robot is not robot:  # the task stays the model's
         pinned = plant.robot.model_copy(update={"scale": ruler(robot).scale})
         plant = replace(plant, robot=pinned)
-    if isinstance(controller, Policy) and plant.robot is not robot:
+    if plant.robot is not robot:
         controller = controller.on(plant.robot)
     starts = Starts(start, robot, seed)
     env = _environment(
