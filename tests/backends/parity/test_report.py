@@ -1,0 +1,152 @@
+"""The report of parity says and draws measurements; here they are made by hand."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import numpy as np
+import pytest
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+
+from backends.parity import plots
+from backends.parity.checks import Check
+from backends.parity.one_step import QUANTITIES, OneStep
+from backends.parity.open_loop import OpenLoop
+from backends.parity.report import Parity, show
+from cdcsr.robot.description import load_robot
+from cdcsr.simulation.contract import Array
+
+STEPS = np.array([4e-3, 2e-3, 1e-3])
+
+
+def loop(commands: str) -> OpenLoop:
+    """Return two engines whose tips are off one limit by 3 mm and by 1 mm for each ms of the step,
+    in two episodes of three instants, of which the second ends after two."""
+    tips = {"a": np.zeros((3, 3, 2, 3)), "b": np.zeros((3, 3, 2, 3))}
+    tips["a"][..., 0], tips["b"][..., 0] = (k * STEPS[:, None, None] for k in (3, 1))
+    for each in tips.values():
+        each[:, 2, 1] = np.nan
+    noise = np.array([[1e-6, 3e-6], [1e-6, 3e-6], [1e-6, np.nan]])
+    switches = {"b:soft=no": 7e-5 * np.ones((3, 2))}
+    time, ideal = np.array([0.004, 0.008, 0.012]), frozenset(tips)
+    return OpenLoop(commands, STEPS, time, tips, noise, ideal, switches, arm_length=2.0)
+
+
+def data_of(line: Line2D) -> tuple[Array, Array]:
+    return np.asarray(line.get_xdata(), float), np.asarray(line.get_ydata(), float)
+
+
+@pytest.fixture
+def parity() -> Parity:
+    checks = [
+        Check(1, "mass matrix", "b - a", 3e-13, 1e-10, "relative", "slide_3"),
+        Check(1, "bias force", "b - a", 4e-5, 1e-10, "relative", "hinge_2_x"),
+    ]
+    numbers = np.arange(1.0, 102.0)
+    differences = {q.name: 1e-6 * numbers * (k + 1) for k, q in enumerate(QUANTITIES)}
+    sizes = {q.name: 0.02 * numbers for q in QUANTITIES}
+    steps = [OneStep("random", "b - a", differences, sizes)]
+    loops = [loop("demonstrator"), loop("random")]
+    return Parity(load_robot("paper"), ("a", "b"), checks, steps, loops)
+
+
+def test_the_text_has_the_numbers_in_their_units(parity: Parity) -> None:
+    """Lengths are in mm and steps in ms; of 1 to 101 the median is 51 and the 95th percentile
+    96."""
+    text = show(parity)
+    lines = [" ".join(line.split()) for line in text.splitlines()]
+    for line in (
+        "paper (fcc8bbe13d09f342): b against a",
+        "ok mass matrix b - a 3.0e-13 relative (at most 1e-10)",
+        "FAIL bias force b - a 4.0e-05 relative (at most 1e-10) at hinge_2_x",
+        "2 one step: b - a, 101 states, random commands",
+        "tip velocity 5.1e-05 9.6e-05 1.0e-04 1.9 m/s",
+        "tension 2.0e-04 3.8e-04 4.0e-04 1.9 N",
+        "3 open loop: 2 episodes, demonstrator commands, mean over time in [mm]",
+        "time step in [ms] 4 2 1",
+        "a, from its limit 12.0000 6.0000 3.0000 order 1.00",
+        "b, from its limit 4.0000 2.0000 1.0000 order 1.00",
+        "steps in [ms] with an error of 3 mm: a 1, b 3",
+        "b - a 8.00000 4.00000 2.00000",
+        "limit of b - a 0.0000",
+        "b:soft=no moves it by 0.0700",
+        "noise floor (commands off 1e-6) 0.00200",
+    ):
+        assert line in lines, f"{line} is not in\n{text}"
+    assert lines[1].startswith("time step 2.5 ms; no spring shakes below ")
+    # Differences are small beside 1.92; a mean of 8 mm is above 2e-3 x 2 m.
+    failed = [" ".join((check.name, check.pair)) for check in parity.failed]
+    assert failed == ["bias force b - a", "mean tip distance b - a, demonstrator"]
+    assert lines[-1].startswith("14 of 16 checks hold; first failure: level 1, bias force, b - a: ")
+
+
+def test_the_plain_data_name_the_first_failure(parity: Parity) -> None:
+    data = parity.as_dict()
+    assert (data["passed"], data["reference"], data["engines"]) == (False, "a", ["a", "b"])
+    assert str(data["first_failure"]).startswith("level 1, bias force, b - a: 4e-05 relative (at ")
+    (whole, _), (step,) = data["open_loop"], data["one_step"]  # type: ignore[misc]
+    assert whole["tip_distance"]["b"]["max"] == pytest.approx([8e-3, 4e-3, 2e-3])
+    assert whole["noise_floor"] == {
+        "disturbance": 1e-6,
+        "mean": pytest.approx(2e-6),
+        "max": pytest.approx(3e-6),
+    }
+    assert whole["switches"] == {"b:soft=no": pytest.approx({"mean": 7e-5, "max": 7e-5})}
+    assert (whole["episodes"], whole["ideal"]) == (2, ["a", "b"])
+    assert step["states"] == 101
+    assert step["differences"]["base velocity"]["max"] == pytest.approx(2.02e-4)
+
+
+def test_the_figures_hold_the_measured_numbers(
+    parity: Parity, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    """Curves of distributions, of errors over steps and of distances over time, in [mm], [ms] and
+    [s]."""
+    figures: dict[str, Figure] = {}
+
+    @contextmanager
+    def kept(path: Path, *_: object) -> Iterator[Figure]:
+        figures[path.stem] = Figure()
+        yield figures[path.stem]
+
+    monkeypatch.setattr(plots, "drawn", kept)
+    plots.draw(parity, tmp_path)
+    assert list(figures) == ["paper-one-step", "paper-convergence", "paper-open-loop"]
+    first, second, third = figures.values()
+    for k, (panel, quantity) in enumerate(zip(first.axes, QUANTITIES, strict=True)):
+        curve, size = panel.lines
+        np.testing.assert_allclose(data_of(curve)[0], 1e-6 * np.arange(1, 102) * (k + 1))
+        np.testing.assert_allclose(data_of(curve)[1], np.arange(1, 102) / 101)
+        np.testing.assert_allclose(data_of(size)[0], [0.02 * 96] * 2)
+        assert panel.get_xlabel() == f"{quantity.name} [{quantity.unit}]"
+        assert (panel.get_xscale(), panel.get_xlim()[1]) == ("log", pytest.approx(2 * 1.92))
+    assert [bool(panel.get_ylabel()) for panel in first.axes] == [True, False, True, False]
+    for panel, part in zip(second.axes, parity.open_loop, strict=True):
+        assert [panel.get_xscale(), panel.get_yscale()] == ["log", "log"]
+        found = {line.get_label(): line for line in panel.lines}
+        for label, values in (
+            ("a from its limit", [12, 6, 3]),
+            ("b from its limit", [4, 2, 1]),
+            ("b from a", [8, 4, 2]),
+            ("first order", [6, 3, 1.5]),
+        ):
+            np.testing.assert_allclose(data_of(found[label])[0], [4, 2, 1])
+            np.testing.assert_allclose(data_of(found[label])[1], values, rtol=1e-9)
+        assert panel.get_title() == f"{part.commands} commands; order: a 1.00, b 1.00"
+        markers = [found[f"{name} from its limit"].get_marker() for name in "ab"]
+        colors = [found[f"{name} from its limit"].get_color() for name in "ab"]
+        assert len(set(markers)) == len(set(colors)) == 2
+    demonstrated, random = third.axes
+    for panel in (demonstrated, random):
+        found = {str(line.get_label()).partition(",")[0]: line for line in panel.lines}
+        np.testing.assert_allclose(data_of(found["b from a"])[0], [0.004, 0.008, 0.012])
+        np.testing.assert_allclose(data_of(found["b from a"])[1], 8.0)
+        np.testing.assert_allclose(data_of(found["a"])[1], [0.002, 0.002, 0.001])  # medians
+        assert panel.get_xlim() == (0, pytest.approx(0.012))
+    tolerance = demonstrated.lines[-1]
+    np.testing.assert_allclose(data_of(tolerance)[1], 4.0)  # 2e-3 of 2 m, in [mm]
+    assert len(random.lines) == len(demonstrated.lines) - 1
+    assert all(len(figure.legends) == 1 for figure in figures.values())
