@@ -11,6 +11,7 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from cdcsr.envs.disturbances import Channel
 from cdcsr.robot.description import Robot
 from cdcsr.robot.ruler import ruler
 from cdcsr.simulation.contract import Simulation, State
@@ -75,22 +76,30 @@ class StepByStep:
             CdcsrError: the controller cannot act on this robot.
         """
         self._simulation, robot = simulation, simulation.robot
+        self._channel: Channel | None = None
         period = robot.time_step * self.frame_skip
         self._controller.begin(
             Conditions(robot, period, True, simulation.engine, simulation.dynamics)
         )
 
-    def act(self, target: Array, time: float) -> Array:
+    def act(self, target: Array, time: float, channel: Channel | None = None) -> Array:
         """Return the set-points until the next action, shape (C,), in [m].
 
         Args:
             target: where the target is now, shape (3,), in [m].
             time: since the episode began, in [s].
+            channel: what its observations pass through; another one begins with what it sees now.
         """
         state, now = self._simulation.state(), np.array([time])
         if self._controller.privileged:
             return self._controller.act(state, Target(target[None], np.zeros((1, 3))), now)[0]
         observation = observe(state, target[None])
+        if channel is not None:
+            first, self._channel = channel is not self._channel, channel
+            fresh = np.ones(1, dtype=bool)
+            observation = (
+                channel.start(observation, fresh) if first else channel.observe(observation)
+            )
         return self._controller.act(*seen_in(observation, now, self._simulation.robot), now)[0]
 
 

@@ -10,6 +10,7 @@ import numpy as np
 import viser  # pyright: ignore[reportMissingImports] - it is an extra
 from numpy.typing import NDArray
 
+from backends.viewers.disturbing import DIRECTIONS, NOISES
 from backends.viewers.driving import HAND
 from backends.viewers.session import FASTEST, PLANT, SLOWEST, Session
 from cdcsr.errors import CdcsrError
@@ -56,6 +57,8 @@ class Controls:
             self._add_plots()
         with self._gui.add_folder("Plant", expand_by_default=False):
             self._add_plant()
+        with self._gui.add_folder("Disturbances", expand_by_default=False):
+            self._add_disturbances()
         self._target, size = session.target, 0.08 * session.robot.arm_length
         self._handle = server.scene.add_transform_controls(
             "/engine0/handle", size, disable_rotations=True, position=session.target
@@ -125,6 +128,22 @@ class Controls:
             self._on_change(slider, lambda value, name=name: self._set_plant(name, value))
             self._plant[name] = slider
         self._on_click(self._gui.add_button("As described"), self._restore_plant)
+
+    def _add_disturbances(self) -> None:
+        gui, disturbing, self._noise = self._gui, self._session.disturbing, {}
+        for name, number in NOISES.items():
+            slider = gui.add_slider(
+                number.title, number.low, number.high, number.step, number.start
+            )
+            self._on_change(slider, lambda value, name=name: disturbing.set_noise(name, value))
+            self._noise[name] = slider
+        self._on_click(gui.add_button("Undisturbed"), self._clear_noise)
+        most = disturbing.strongest
+        force = gui.add_slider("force of a push [N]", 0.0, most, most / 100, disturbing.force)
+        self._on_change(force, disturbing.set_force)
+        for direction in DIRECTIONS:
+            button = gui.add_button(f"Push tip, {direction}")
+            self._on_click(button, lambda direction=direction: disturbing.push(direction))
 
     def _add_plots(self) -> None:
         session = self._session
@@ -222,6 +241,11 @@ class Controls:
         for name, number in PLANT.items():
             self._session.set_plant(name, number.start)
             self._plant[name].value = number.start
+
+    def _clear_noise(self) -> None:
+        for name, number in NOISES.items():
+            self._session.disturbing.set_noise(name, number.start)
+            self._noise[name].value = number.start
 
     def _drag(self, place: Array) -> None:
         """Move the target to where its handle was dragged."""

@@ -8,8 +8,10 @@ from typing import NamedTuple, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from cdcsr.envs.disturbances import Channel
 from cdcsr.errors import CdcsrError, unknown_choice
 from cdcsr.robot.description import Robot
+from cdcsr.robot.ruler import ruler
 from cdcsr.simulation.contract import Simulation
 
 Array = NDArray[np.float64]
@@ -30,12 +32,13 @@ class Driver(Protocol):
     def begin(self, simulation: Simulation) -> None:
         """Prepare for an episode of a simulation that begins now."""
 
-    def act(self, target: Array, time: float) -> Array:
+    def act(self, target: Array, time: float, channel: Channel | None = None) -> Array:
         """Return the commands until the next action.
 
         Args:
             target: shape (3,), world frame, in [m].
             time: since the episode began, in [s].
+            channel: what its observations pass through, if they are disturbed.
 
         Returns:
             Set-points, shape (C,), in [m].
@@ -66,6 +69,7 @@ class Driving:
     Attributes:
         name: who drives now, one of `names`.
         command: the present set-points, shape (C,), in [m].
+        arriving: what arrives of them at the servos, shape (C,), in [m].
         chosen: the episode that is shown, counted from 0.
     """
 
@@ -76,6 +80,8 @@ class Driving:
         self.lowest, self.highest = robot.command_range
         self.units = [servo.unit for servo in robot.servos]
         self.command, self._period = np.zeros(robot.num_cables), robot.time_step
+        self.arriving = self._noise = self.command
+        self._skip = ruler(robot).frame_skip
         self._begun = 0
 
     @property
@@ -148,25 +154,32 @@ class Driving:
         if self.name in self.drivers:
             self.drivers[self.name].begin(simulation)
 
-    def next_command(self, step: int, target: Array) -> int:
+    def next_command(self, step: int, target: Array, channel: Channel) -> int:
         """Choose the command of a step, and return for how many steps it holds (0: no limit).
 
         Args:
             step: how many steps were made since the last reset.
             target: shape (3,), in [m].
+            channel: what observations and commands pass through.
         """
-        since = step - self._begun
+        since, episode = step - self._begun, None
+        driver = self.drivers.get(self.name)
         if self.name == RECORDING:
             episode = self.episodes[self.chosen]
-            if episode.commands is None:
-                return 0
-            index = min(since // episode.hold, len(episode.commands) - 1)
-            self.command = np.clip(episode.commands[index], self.lowest, self.highest)
-            return episode.hold - since % episode.hold
-        if self.name in self.drivers:
-            driver = self.drivers[self.name]
-            if since % driver.frame_skip == 0:
-                command = driver.act(target, since * self._period)
+        recorded = None if episode is None else episode.commands
+        if episode is not None and recorded is not None:
+            period = episode.hold
+            index = min(since // period, len(recorded) - 1)
+            self.command = np.clip(recorded[index], self.lowest, self.highest)
+        elif driver is not None:
+            period = driver.frame_skip
+            if since % period == 0:
+                command = driver.act(target, since * self._period, channel)
                 self.command = np.clip(command, self.lowest, self.highest)
-            return driver.frame_skip - since % driver.frame_skip
-        return 0
+        else:
+            period, since = self._skip, 0
+        if since % period == 0:
+            self._noise = channel.command(np.zeros((1, len(self.full))))[0]
+        self.arriving = np.clip(self.command + self._noise, self.lowest, self.highest)
+        free = driver is None and recorded is None and not self._noise.any()
+        return 0 if free else period - since % period

@@ -15,6 +15,7 @@ from cdcsr.robot.poses import link_poses
 from cdcsr.robot.ruler import ruler
 from cdcsr.tasks.debris import Surface
 from cdcsr.tasks.spaces import Anchor, Balls, Space
+from cdcsr.tasks.workspace_map import Workspace
 
 Array = NDArray[np.float64]
 
@@ -142,6 +143,12 @@ def _add_space(scene: viser.SceneApi, name: str, space: Space) -> None:
             opacity=0.5,  # the target and the arm are seen through it
             side="double",
         )
+    elif isinstance(space, Workspace):
+        corners, count = space.hull.reshape(-1, 3), len(space.hull)
+        halves = np.array([[0, 1, 2], [0, 2, 3]]) + 4 * np.arange(count)[:, None, None]
+        faces = halves.reshape(-1, 3).astype(np.uint32)
+        corners = corners.astype(np.float32)
+        scene.add_mesh_simple(name, corners, faces, color=_SPACE_COLOR, side="double", **look)
     else:
         points = space.sample(np.random.default_rng(0), 4000).astype(np.float32)
         scene.add_point_cloud(name, points, _SPACE_COLOR, point_size=0.006)

@@ -13,6 +13,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from backends.viewers.disturbing import Disturbing, ShownNumber
 from backends.viewers.driving import Driver, Driving, Shown
 from cdcsr.errors import CdcsrError, Diverged, unknown_choice
 from cdcsr.robot.description import Robot
@@ -34,27 +35,15 @@ _FARTHEST = 100.0
 """The largest coordinate of a target, in [m]."""
 
 
-class PlantNumber(NamedTuple):
-    """A number of the plant that can be changed while the robot moves."""
-
-    title: str
-    low: float
-    high: float
-    step: float
-    start: float = 1.0
-    scale: float = 1.0
-    """The factor from the number shown to that of :class:`Parameters`."""
-
-
-PLANT: Mapping[str, PlantNumber] = {
-    "base_mass": PlantNumber("base mass, factor", 0.1, 4.0, 0.05),
-    "link_mass": PlantNumber("link masses, factor", 0.2, 4.0, 0.05),
-    "joint_stiffness": PlantNumber("joint stiffness, factor", 0.0, 4.0, 0.05),
-    "joint_damping": PlantNumber("joint damping, factor", 0.0, 4.0, 0.05),
-    "slider_damping": PlantNumber("slider friction, factor", 0.0, 4.0, 0.05),
-    "servo_gain": PlantNumber("servo gain, factor", 0.1, 4.0, 0.05),
-    "rest_length_offset": PlantNumber("cable length, added [mm]", -10.0, 10.0, 0.5, 0.0, 1e-3),
-    "command_delay": PlantNumber("command delay [steps]", 0.0, 40.0, 1.0, 0.0),
+PLANT: Mapping[str, ShownNumber] = {
+    "base_mass": ShownNumber("base mass, factor", 0.1, 4.0, 0.05),
+    "link_mass": ShownNumber("link masses, factor", 0.2, 4.0, 0.05),
+    "joint_stiffness": ShownNumber("joint stiffness, factor", 0.0, 4.0, 0.05),
+    "joint_damping": ShownNumber("joint damping, factor", 0.0, 4.0, 0.05),
+    "slider_damping": ShownNumber("slider friction, factor", 0.0, 4.0, 0.05),
+    "servo_gain": ShownNumber("servo gain, factor", 0.1, 4.0, 0.05),
+    "rest_length_offset": ShownNumber("cable length, added [mm]", -10.0, 10.0, 0.5, 0.0, 1e-3),
+    "command_delay": ShownNumber("command delay [steps]", 0.0, 40.0, 1.0, 0.0),
 }
 """The fields of :class:`Parameters` that can be changed, the same for all parts of the robot."""
 
@@ -100,6 +89,7 @@ class Session:
 
     Attributes:
         driving: who chooses the commands.
+        disturbing: what disturbs the robot.
         playing: whether `advance` lets time pass.
         note: what stopped it last, for the user.
         steps: how many simulation steps were made since the last reset.
@@ -127,6 +117,7 @@ class Session:
         self.plant = {name: number.start for name, number in PLANT.items()}
         self.history: deque[Moment] = deque(maxlen=HISTORY)
         self.simulations = [make_simulation(robot, engine) for engine in engines]
+        self.disturbing = Disturbing(robot, self.simulations)
         for simulation in self.simulations:  # the first step may compile, and no page should wait
             simulation.step(np.zeros((1, robot.num_cables)))
         self.new_target(seed)
@@ -175,6 +166,7 @@ class Session:
 
     def reset(self) -> None:
         """Put the robot back to its start in all engines, with no cable pulled."""
+        self.disturbing.stop()
         for simulation in self.simulations:
             simulation.reset()
         self.steps, self._debt = 0, 0.0
@@ -260,11 +252,7 @@ class Session:
         """
         if name not in PLANT:
             raise CdcsrError(unknown_choice("number of the plant", name, PLANT))
-        number = PLANT[name]
-        if not number.low <= value <= number.high:
-            raise CdcsrError(
-                f"{number.title}: from {number.low:g} to {number.high:g}; found {value:g}."
-            )
+        PLANT[name].check(value)
         changed = self.plant | {name: value}
         values = {key: shown * PLANT[key].scale for key, shown in changed.items()}
         delay = round(values.pop("command_delay"))
@@ -285,9 +273,12 @@ class Session:
         end, left = time.perf_counter() + budget, steps
         try:
             while left > 0 and time.perf_counter() < end:
-                hold = min(self.driving.next_command(self.steps, self.target) or left, left)
+                channel = self.disturbing.channel
+                hold = self.driving.next_command(self.steps, self.target, channel)
+                hold = min(each for each in (hold, self.disturbing.hold, left) if each)
                 for simulation in self.simulations:
-                    simulation.step(self.driving.command[None], hold)
+                    simulation.step(self.driving.arriving[None], hold)
+                self.disturbing.passed(hold)
                 self.steps, left = self.steps + hold, left - hold
         except CdcsrError as error:
             self.playing, self.note = False, str(error)

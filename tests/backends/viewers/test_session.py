@@ -17,7 +17,9 @@ from cdcsr.robot.description import Robot, load_robot, shipped_robots
 from cdcsr.robot.poses import link_poses
 from cdcsr.robot.routing import cable_lengths, routing
 from cdcsr.simulation.plant import Parameters
+from cdcsr.simulation.state import State
 from cdcsr.tasks.spaces import anchor
+from controllers.controller import Target
 from controllers.demonstrations import record
 from controllers.feeds import StepByStep
 from controllers.jacobian import JacobianController
@@ -120,6 +122,85 @@ def test_the_plant_changes_in_all_engines(paper: Robot, session: Session) -> Non
         np.testing.assert_allclose(view.slack, 0.004, atol=1e-9)
 
 
+def test_a_push_is_a_force_on_the_last_link_for_a_moment(paper: Robot, session: Session) -> None:
+    """A cable pulls with 5 m x 50 N/m at 0.02 m from the axis of an arm of 2.4 m. The push lasts
+    0.05 s, 20 steps."""
+    servo = paper.servos[0]
+    largest = 2 * servo.gain * servo.eta * 0.02 / 2.4
+    assert session.disturbing.strongest == pytest.approx(largest, rel=1e-3)
+    session.disturbing.set_force(0.3 * largest)
+    session.disturbing.push("-y")
+    session.playing, session.speed = True, 1.0
+    session.advance(30 * STEP)
+    for number, engine in enumerate(session.engines):
+        with running(paper, engine) as alone:
+            still = alone.state().tip_position[0, 1]
+            alone.set_loads(None, -1, force=(0.0, -0.3 * largest, 0.0))
+            alone.step(np.zeros((1, 8)), 20)
+            alone.set_loads(None, -1)
+            alone.step(np.zeros((1, 8)), 10)
+            expected = alone.state().tip_position[0]
+        np.testing.assert_allclose(session.history[-1].tip[number], expected, atol=1e-12)
+        assert expected[1] < still - 1e-4
+    session.disturbing.push("+x")
+    session.reset()
+    session.advance(30 * STEP)
+    start, tips = session.history[0].tip, session.history[-1].tip
+    np.testing.assert_allclose(tips, start, atol=1e-9)  # a push ends with the episode
+
+
+def test_noise_of_commands_is_drawn_for_each_action_and_repeats(session: Session) -> None:
+    """2 % of 5 m are 0.1 m; of 400 draws the spread is known to 4 %."""
+    session.disturbing.set_noise("action_noise", 0.02)
+    for cable in range(8):
+        session.driving.pull(cable, -2.0)
+    found = []
+    for _ in range(50):
+        session.step()
+        found.append(session.driving.arriving + 2.0)
+    assert np.std(found) == pytest.approx(0.1, rel=0.15)
+    assert (session.driving.command == -2.0).all()
+    session.disturbing.set_noise("action_noise", 0.02)  # begins anew
+    session.step()
+    np.testing.assert_array_equal(session.driving.arriving + 2.0, found[0])
+    session.disturbing.set_noise("action_noise", 0.0)
+    session.step()
+    np.testing.assert_array_equal(session.driving.arriving, -2.0)
+
+
+def test_a_policy_sees_what_the_channel_lets_through(paper: Robot) -> None:
+    """Late observations are those of some actions ago, lost ones are those before."""
+    watching = Watching()
+    session = Session(paper, ["mujoco"], anchor(paper), [StepByStep(watching, paper)])
+    session.disturbing.set_noise("observation_delay", 2.0)
+    session.driving.pull(0, -3.0)  # so that something moves
+    session.step()
+    session.drive(watching.name)
+    tips = [session.history[-1].tip[0]]
+    for _ in range(5):
+        session.step()
+        tips.append(session.history[-1].tip[0])
+    np.testing.assert_allclose(watching.seen, [tips[max(0, k - 2)] for k in range(5)], atol=1e-12)
+    watching.seen.clear()
+    session.disturbing.set_noise("observation_delay", 0.0)
+    session.disturbing.set_noise("packet_loss", 1.0)
+    for _ in range(3):
+        session.step()
+    np.testing.assert_allclose(watching.seen, [tips[5]] * 3, atol=1e-12)  # only the first arrives
+    session.close()
+
+
+class Watching(Still):
+    """It keeps the tips that it sees, and leaves all cables at half of their range."""
+
+    def __init__(self) -> None:
+        self.seen: list[np.ndarray] = []
+
+    def act(self, state: State, target: Target, time: np.ndarray) -> np.ndarray:
+        self.seen.append(state.tip_position[0].copy())
+        return np.full((1, 8), -2.5)
+
+
 @pytest.mark.parametrize(
     ("call", "message"),
     [
@@ -133,6 +214,10 @@ def test_the_plant_changes_in_all_engines(paper: Robot, session: Session) -> Non
         (lambda s: setattr(s, "speed", np.inf), "from 0.01 to 4"),
         (lambda s: s.set_plant("base_mass", np.nan), "from 0.1 to 4"),
         (lambda s: s.set_plant("gravity", 1.0), "Unknown number of the plant"),
+        (lambda s: s.disturbing.set_noise("packet_loss", 1.1), "from 0 to 1; found 1.1"),
+        (lambda s: s.disturbing.set_noise("wind", 1.0), "Unknown disturbance"),
+        (lambda s: s.disturbing.set_force(np.inf), "from 0 to"),
+        (lambda s: s.disturbing.push("up"), "Unknown direction"),
         (lambda s: s.show(0), "no episode 1; there are 0"),
         (lambda s: s.driving.next_failure(), "None of the 0 episodes"),
     ],

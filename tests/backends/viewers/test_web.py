@@ -118,6 +118,12 @@ def test_a_page_steers_the_session(url: str, session: Session) -> None:
     wait(lambda: session.driving.name == "jacobian")
     page.set("link masses, factor", 2.0)
     wait(lambda: session.plant["link_mass"] == 2.0)
+    page.set("observations lost, share", 0.5)
+    wait(lambda: session.disturbing.noise["packet_loss"] == 0.5)
+    page.set("Undisturbed", True)
+    wait(lambda: session.disturbing.noise["packet_loss"] == 0.0)
+    page.set("Push tip, -y", True)
+    wait(lambda: (session.simulations[1].loads.force[0, -1, 0, 1:] < (0.0, 0.1)).all())
     before = session.target
     page.set("Next target", True)
     wait(lambda: session.seed == 1 and (session.target != before).all())
