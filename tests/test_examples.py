@@ -18,9 +18,10 @@ RUNS = {
     "step_a_robot.py": ([], r"mujoco: after 0\.50 s .* tension [\d.]+ N\npybullet: after 0\.50 s"),
     "own_controller.py": ([], r"\| pull .*\n(.*\n)*\| batd3-tuned-spatter-mujoco"),
     "own_targets.py": ([], r"12 of 12 targets on the ring were reached"),
+    "train_batd3.py": (["run", "40"], r"jacobian: .*\nbc\S*: .*\nbatd3\S*: \d\.\d\d \["),
     "goals_with_sb3.py": (["1040"], r"hindsight\.zip: 1040 steps"),
 }
-SLOW = {"goals_with_sb3.py", "own_controller.py"}
+SLOW = {"goals_with_sb3.py", "own_controller.py", "train_batd3.py"}
 NEEDS = {"goals_with_sb3.py": "stable_baselines3"}
 
 

@@ -14,7 +14,8 @@ def demo(out: Path, minutes: float = 8.0, json: Path | None = None) -> None:
 
     Args:
         out: the folder for everything.
-        minutes: longest training time. A larger number trains a demo further that ran out of it.
+        minutes: longest training time, the clone included. With less than 8 the tables and the
+            video have fewer episodes. A larger number trains a demo further that ran out of it.
         json: also write the results, each episode included, to this file.
     """
     from cdcsr.files import write_json
@@ -22,6 +23,6 @@ def demo(out: Path, minutes: float = 8.0, json: Path | None = None) -> None:
     from training.commands.demo_stages import Amounts, run_demo
 
     check_number("minutes", minutes, 1e-3, 1e6)
-    summary = run_demo(out, Amounts(minutes))
+    summary = run_demo(out, Amounts.within(minutes))
     if json is not None:
         write_json(json, summary)

@@ -66,6 +66,34 @@ class Amounts:
     changes: Changes = ()
     """Changed numbers of the learner."""
 
+    @classmethod
+    def within(cls, minutes: float) -> Amounts:
+        """Return the amounts of a demo that trains for so long at most.
+
+        Below the usual minutes, episodes become fewer in proportion, down to a tenth.
+        """
+        share = min(max(minutes / cls.minutes, 0.1), 1.0)
+        episodes, filmed = round(share * cls.episodes), 1 + round(share * (cls.filmed - 1))
+        return cls(minutes, episodes, episodes, filmed)
+
+    def shown(self, training: Mapping[str, float]) -> str:
+        """Say what a demo of these amounts shows, in one line.
+
+        Args:
+            training: the last row of its metrics.
+        """
+        update, minutes = int(training["update"]), training["minutes"]
+        done = (
+            f"BATD3 made {update:,} of {self.updates:,} updates in {minutes:.1f} minutes, the "
+            "clone's training included"
+        )
+        if update == self.updates:
+            return f"{done}."
+        return (
+            f"{done}: this shows that every part works here, not how well it learns. "
+            "A larger --minutes goes on from here."
+        )
+
 
 @dataclass(frozen=True)
 class Stage:
@@ -100,11 +128,12 @@ def run_demo(out: Path, amounts: Amounts = Amounts()) -> dict[str, object]:
     demo = Demo(out, amounts)
     with DEMO_FOLDER.claim(out):
         carry_out(out, demo.stages())
+    training = read_metrics(out / RUN / "metrics.csv")[-1]
     print("\n" + (out / TABLE).read_text("utf-8"))
+    print(amounts.shown(training) + "\n")
     width = max(len(str(out / name)) for name in CONTENTS)
     for name, what in CONTENTS.items():
         print(f"{out / name!s:<{width}}  {what}")
-    training = read_metrics(out / RUN / "metrics.csv")[-1]
     return {"out": str(out), "files": [*CONTENTS], "training": training, **read_json(out / CELLS)}
 
 
@@ -184,10 +213,6 @@ class Demo:
         summary = self._out / RUN / "summary.json"
         if left > 0 and not summary.exists():
             train(replace(self._training, stop_after=left))
-        if not summary.exists():
-            print(
-                "    The training time is used up; a larger --minutes trains this policy further."
-            )
 
     def _policies(self) -> tuple[Policy, Policy]:
         """Return the clone and the policy."""

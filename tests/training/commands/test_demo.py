@@ -99,6 +99,18 @@ def check_contents(out: Path, summary: dict[str, object], update: int) -> None:
         assert cell["controller"] in table
 
 
+def test_a_short_demo_measures_less_and_says_what_it_shows() -> None:
+    short, usual = Amounts.within(1.0), Amounts.within(20.0)
+    assert (short.episodes, short.validation_episodes, short.filmed) == (12, 12, 1)
+    assert (usual.episodes, usual.validation_episodes, usual.filmed) == (100, 100, 3)
+    assert (short.updates, short.changes) == (usual.updates, usual.changes)  # it can go on
+    assert Amounts.within(1e-3).episodes == 10
+    said = short.shown({"update": 1234.0, "minutes": 1.02})
+    assert "1,234 of 9,000 updates in 1.0 minutes" in said
+    assert "not how well it learns" in said
+    assert "not how" not in short.shown({"update": 9000.0, "minutes": 6.0})
+
+
 def test_a_stage_is_done_once_for_the_same_inputs(tmp_path: Path) -> None:
     calls: list[int] = []
     folder = tmp_path / "demo"
