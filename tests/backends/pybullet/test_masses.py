@@ -6,6 +6,7 @@ import dataclasses
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 from backends.contract_suite.states import Make, commands_of, random_parameters
 from cdcsr.robot.description import Robot
@@ -51,7 +52,8 @@ def test_a_flat_body_may_have_rounded_moments(make: Make, paper: Robot) -> None:
 
 
 def test_a_step_uses_the_masses_of_each_copy(make: Make, robot: Robot) -> None:
-    """With slack cables and no dampers, only springs act: one step is the equation of motion."""
+    """With slack cables and no dampers, only springs act: one step is the equation of motion, also
+    of a base that is turned."""
     num = 3
     simulation = make("pybullet", robot, num)
     random = dataclasses.replace(
@@ -64,8 +66,12 @@ def test_a_step_uses_the_masses_of_each_copy(make: Make, robot: Robot) -> None:
         -0.05, 0.05, (num, robot.num_hinges)
     )
     snapshot.velocity[:] = generator.normal(size=snapshot.velocity.shape) * 0.3
+    turns = Rotation.random(num, rng=generator)
+    snapshot.position[:, 3:7] = turns.as_quat(scalar_first=True)
     simulation.set_snapshot(snapshot)
     equation = simulation.dynamics()
+    tip = np.einsum("nij,nj->ni", equation.tip_jacobian, snapshot.velocity)
+    np.testing.assert_allclose(simulation.state().tip_velocity, tip, rtol=0, atol=1e-9)
     simulation.step(np.zeros((num, robot.num_cables)))
     np.testing.assert_allclose(simulation.state().cable_tension, 0, atol=1e-9)
     load = equation.passive_force - equation.bias_force
