@@ -223,8 +223,7 @@ class Copy:
 
     def tests(self, mutant: Mutant) -> list[str]:
         """Return the tests that run the changed line, or, if it runs at import or compiled, those
-        that run the file or all; those of files that import the changed one first, then those of
-        its own room, the quickest first."""
+        that run the file or all; first from files that name it, then from its room, by time."""
         lines = self._lines.get(mutant.file, {})
         every = [{test for test in tests if test} for tests in lines.values()]
         exact = {test for test in lines.get(str(mutant.line), []) if test}
@@ -234,7 +233,8 @@ class Copy:
         total, chosen = 0.0, []
 
         def place(test: str) -> tuple[bool, bool, float]:
-            foreign = f"from {module} " not in texts[_file_of(test)]
+            names = f"from {module} ", Path(mutant.file).name
+            foreign = not any(name in texts[_file_of(test)] for name in names)
             return foreign, not test.startswith(room), self._seconds.get(test, 0.0)
 
         for test in sorted(reached, key=place):

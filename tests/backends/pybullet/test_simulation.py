@@ -10,6 +10,7 @@ import signal
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 from backends.contract_suite.states import assert_same, commands_of, random_parameters, straight
 from backends.pybullet.benchmarks import step_cost
@@ -123,6 +124,38 @@ def test_no_explicit_damper_is_unstable(robot: Robot) -> None:
     equation.close()
     assert unstable > 2
     assert worst < 2
+
+
+def test_a_damper_is_implicit_where_it_would_turn_two_bodies_too_fast(paper: Robot) -> None:
+    """That is where h c (1 / I + 1 / J) is above 1/2, with the moments of the two bodies about the
+    axis a as it stands in each, a' I a; and of a slider where h c / m is."""
+    random, numbers, step = np.random.default_rng(0), rig(paper), paper.time_step
+    plant, implicit = Parameters().plant(paper, 2), 0
+    for _ in range(30):
+        plant.link_inertia[1] = random.uniform(0.01, 0.02, (12, 3))
+        plant.base_inertia[1] = random.uniform(0.01, 0.02, 3)
+        plant.damping[1] = random.uniform(0, 2, 32)
+        plant.damping[1, :8] *= numbers.slider_mass / step / 2
+        bend = random.uniform(-1.5, 1.5, 24)
+        moments = np.concatenate([plant.base_inertia[1:], plant.link_inertia[1]])
+        shake = step * plant.damping[1, :8] / numbers.slider_mass
+        expected = (shake > 0.5).tolist()
+        for j, (x, y) in enumerate(bend.reshape(-1, 2)):
+            turn = Rotation.from_euler("XY", [x, y]).as_matrix()
+            lower, upper = np.diag(moments[j]), np.diag(moments[j + 1])
+            about_x, about_y = np.eye(3)[0], turn @ np.eye(3)[1]  # in the frame of the lower body
+            for axis, c in zip((about_x, about_y), plant.damping[1, 8 + 2 * j :], strict=False):
+                inner = turn.T @ axis
+                shake = step * c * (1 / (axis @ lower @ axis) + 1 / (inner @ upper @ inner))
+                expected.append(shake > 0.5)
+        found = stiff_dampers(numbers, plant, 1, bend, step)
+        np.testing.assert_array_equal(found, np.where(expected, plant.damping[1], 0.0))
+        implicit += np.count_nonzero(found)
+    assert 0.3 < implicit / 30 / 32 < 0.9
+    twisting = numbers._replace(universal=False)  # links may be thin rods
+    np.testing.assert_array_equal(
+        stiff_dampers(twisting, plant, 1, np.zeros(24), step), plant.damping[1]
+    )
 
 
 def test_joint_speed_is_not_clamped(paper: Robot) -> None:
