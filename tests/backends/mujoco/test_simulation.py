@@ -143,6 +143,21 @@ def test_a_copy_in_plain_data_goes_on_as_in_the_batch(paper: Robot) -> None:
     )
 
 
+def test_loads_on_inner_links_are_those_of_plain_mechanics(paper: Robot) -> None:
+    """MuJoCo's generalized force against sums over links in NumPy, of turned and bent robots, with
+    two loads on one link."""
+    simulation, start = MujocoSimulation(paper, 3), moving(paper, 3)
+    simulation.set_snapshot(start)
+    before = simulation.dynamics().passive_force
+    simulation.set_loads([1, 2], 4, (3.0, -2.0, 1.0), point=(0.02, -0.03, 0.05))
+    simulation.set_loads([1], 4, torque=(0.5, 0.1, -0.7), slot=1)
+    simulation.set_loads([0], 0, (0.0, 4.0, 0.0))
+    found = simulation.dynamics().passive_force - before
+    expected = simulation.loads.generalized(start.position, np.arange(3))
+    np.testing.assert_allclose(found, expected, rtol=0, atol=1e-9)
+    assert (np.abs(expected).max(axis=1) > 1).all()
+
+
 def test_pictures_without_a_display_fail_in_one_line_as_often_as_they_are_asked_for() -> None:
     # A second start of OpenGL would end the process.
     code = (
