@@ -6,6 +6,7 @@ from __future__ import annotations
 import dataclasses
 import gc
 import os
+import pickle
 import signal
 
 import numpy as np
@@ -274,6 +275,23 @@ def test_workers_end_with_their_pool(paper: Robot) -> None:
     del pool
     gc.collect()
     assert all(process.poll() is not None for process in processes)
+
+
+def test_a_worker_whose_caller_is_gone_ends_without_a_word(
+    paper: Robot, capfd: pytest.CaptureFixture[str]
+) -> None:
+    """It reads no more requests, or nothing takes its answer."""
+    ends = Pool(paper, 2, PybulletOptions(), workers=2)
+    waiting, answering = ends.processes
+    assert waiting.stdin is not None
+    waiting.stdin.close()
+    assert answering.stdin is not None
+    assert answering.stdout is not None
+    answering.stdout.close()
+    answering.stdin.write(pickle.dumps(("reset", [0])))
+    answering.stdin.flush()
+    assert [process.wait(30) for process in ends.processes] == [0, 0]
+    assert capfd.readouterr().err == ""
 
 
 @pytest.mark.skipif(os.name != "posix", reason="kills by signal")
