@@ -1,4 +1,4 @@
-"""The site: Sphinx reads the pages beside this file, and two more that are made from the code.
+"""The site: Sphinx reads the pages beside this file, and more that are made from the code.
 
 `make site` builds it into build/site without network; every warning is an error.
 """
@@ -9,6 +9,7 @@ import contextlib
 import io
 import os
 import re
+import sys
 from importlib import metadata
 from pathlib import Path
 
@@ -16,6 +17,11 @@ from pydantic import BaseModel
 from sphinx.application import Sphinx
 
 from cdcsr.cli import main
+
+sys.path.insert(0, str(Path(__file__).parent))
+from fields import fields_page
+from geometry import draw_geometry, wide_robot
+from notebooks import write_notebook
 
 project = "cdcsr"
 author = "the authors of cdcsr"
@@ -58,6 +64,7 @@ MODULES = (
 )
 """The modules that users import."""
 HERE = Path(__file__).parent
+NOTEBOOKS = sorted((HERE / "notebooks").glob("*.ipynb"))
 
 
 def commands_page() -> str:
@@ -85,9 +92,13 @@ def api_page() -> str:
 
 
 def write_reference(_: Sphinx) -> None:
-    """Write the two pages that are made from the code."""
+    """Write the pages that are made from the code: references, a figure, and notebooks."""
     folder = HERE / "reference"
     folder.mkdir(exist_ok=True)
+    (folder / "description.md").write_text(fields_page(), "utf-8")
+    draw_geometry(wide_robot(), folder / "geometry.png")
+    for notebook in NOTEBOOKS:
+        write_notebook(notebook, folder)
     (folder / "commands.md").write_text(commands_page(), "utf-8")
     (folder / "modules.md").write_text(api_page(), "utf-8")
 
@@ -97,7 +108,8 @@ def linked(_: Sphinx, name: str, source: list[str]) -> None:
     source[0] = re.sub(r"\]\((?:\.\./)+([^)#]+)(#[^)]*)?\)", rf"]({SOURCE}\1)", source[0])
     if name == "index":
         pages = dict.fromkeys(re.findall(r"\]\((\S+)\.md\)", source[0]))
-        listed = "\n".join([*pages, "reference/commands", "reference/modules"])
+        made = [*(path.stem for path in NOTEBOOKS), "description", "commands", "modules"]
+        listed = "\n".join([*pages, *(f"reference/{name}" for name in made)])
         source[0] += f"\n\n```{{toctree}}\n:hidden:\n\n{listed}\n```\n"
 
 

@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import importlib
+import json
 import re
 import shlex
+import sys
 from collections.abc import Iterator
 from importlib.metadata import entry_points
 from pathlib import Path
@@ -11,6 +14,7 @@ from pathlib import Path
 import pytest
 
 from cdcsr.cli import main
+from cdcsr.robot.description import Robot
 
 ROOT = Path(__file__).parents[1]
 PAGES = sorted(
@@ -23,6 +27,12 @@ PAGES = sorted(
 )
 PROGRAMS = {"cdcsr ": "", "training ": "train ", "python -m training.experiments ": "experiments "}
 """How a command is called, and what it is then called as a sub-command of `cdcsr`."""
+
+
+sys.path.insert(0, str(ROOT / "docs"))
+fields = importlib.import_module("fields")
+geometry = importlib.import_module("geometry")
+notebooks = importlib.import_module("notebooks")
 
 
 def anchors(page: Path) -> set[str]:
@@ -69,3 +79,47 @@ def test_commands_exist_and_have_their_options(capsys: pytest.CaptureFixture[str
             main(argv)
         known = set(re.findall(r"--[\w.-]+", capsys.readouterr().out)) | {"--help"}
         assert used <= known, name
+
+
+def test_every_field_of_a_description_has_a_row_with_its_meaning() -> None:
+    """The JSON schema that pydantic makes names the same keys; what refers to another model is a
+    section of its own."""
+    schema = Robot.model_json_schema()
+    models = {"Robot": schema, **schema["$defs"]}
+    expected = {
+        key
+        for model in models.values()
+        for key, field in model["properties"].items()
+        if "$ref" not in json.dumps(field)
+    }
+    rows = re.findall(r"^\| `(\w+)` \|.*\| (.*) \|$", fields.fields_page(), re.MULTILINE)
+    assert {key for key, _ in rows} == expected
+    assert [key for key, meaning in rows if not meaning] == []
+    assert "| `limit` | number above 0, at most 3.14159 |" in fields.fields_page()
+
+
+def test_the_figure_of_lengths_is_drawn(tmp_path: Path) -> None:
+    geometry.draw_geometry(geometry.wide_robot(), tmp_path / "geometry.png")
+    assert (tmp_path / "geometry.png").stat().st_size > 10_000
+
+
+def test_a_notebook_shows_what_its_cells_print_and_draw(tmp_path: Path) -> None:
+    def write(*cells: str) -> Path:
+        rows = [{"cell_type": "code", "source": [cell]} for cell in cells]
+        (tmp_path / "a.ipynb").write_text(json.dumps({"cells": rows}))
+        return tmp_path / "a.ipynb"
+
+    draw = "import matplotlib.pyplot as plt\nplt.plot([1, 2]);"
+    notebooks.write_notebook(write("x = 20", "print('a')\nx + 1", draw), tmp_path)
+    page = (tmp_path / "a.md").read_text()
+    assert "```text\na\n21\n```" in page
+    assert page.endswith("![What the cell draws](a-1.png)\n")
+    assert (tmp_path / "a-1.png").stat().st_size > 1_000
+    with pytest.raises(RuntimeError, match=r"a\.ipynb, cell 2 failed: ZeroDivisionError"):
+        notebooks.write_notebook(write("x = 0", "1 / x"), tmp_path)
+
+
+def test_notebooks_hold_no_outputs() -> None:
+    for path in (ROOT / "docs" / "notebooks").glob("*.ipynb"):
+        cells = json.loads(path.read_text())["cells"]
+        assert not any(cell.get("outputs") for cell in cells), path

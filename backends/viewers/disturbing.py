@@ -1,4 +1,4 @@
-"""What disturbs the robot in the live view: noise, lost or late observations, pushes at the tip."""
+"""Disturb the robot in the live view: by noise, lost or late observations, pushes at the tip."""
 
 from __future__ import annotations
 

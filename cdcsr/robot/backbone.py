@@ -35,6 +35,7 @@ class Backbone(Part):
     youngs_modulus: Positive
     """In [Pa]."""
     poissons_ratio: Annotated[float, Field(gt=-1, le=0.5)]
+    """nu, which has no unit."""
     density: Positive
     """In [kg/m^3]."""
     radius: Positive
