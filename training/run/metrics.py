@@ -1,4 +1,5 @@
-"""Where the numbers of a run go while it learns: a CSV file, TensorBoard, and the progress bar."""
+"""Where the numbers of a run go while it learns: a CSV file, TensorBoard, a tracker if one is
+asked for, and the progress bar."""
 
 from __future__ import annotations
 
@@ -13,6 +14,7 @@ from cdcsr.errors import CdcsrError, cannot_write
 from cdcsr.files import write_text
 from cdcsr.reading import exists
 from cdcsr.tables import csv_text, read_csv_rows
+from training.run.trackers import Tracker
 
 if TYPE_CHECKING:
     from torch import Tensor
@@ -40,13 +42,14 @@ class Metrics:
     Args:
         folder: of the run.
         after: when resuming, rows of later updates than this are dropped: they will come again.
+        tracker: gets the rows too.
 
     Raises:
         CdcsrError: a file cannot be written.
     """
 
-    def __init__(self, folder: Path, after: int) -> None:
-        self._path = folder / "metrics.csv"
+    def __init__(self, folder: Path, after: int, tracker: Tracker | None = None) -> None:
+        self._path, self._tracker = folder / "metrics.csv", tracker
         old = _rows(self._path) if after else []
         self._rows = [row for row in old if float(row["update"]) <= after]
         self._write()
@@ -57,7 +60,15 @@ class Metrics:
         self._rows.append({name: str(value) for name, value in row.items()})
         self._write()
         step = int(row["update"])
-        self._board.add(step, {name: value for name, value in row.items() if name != "update"})
+        values = {name: value for name, value in row.items() if name != "update"}
+        self._board.add(step, values)
+        if self._tracker is not None:
+            self._tracker.log(values, step=step)
+
+    def close(self) -> None:
+        """Let the tracker write what is left."""
+        if self._tracker is not None:
+            self._tracker.finish()
 
     def _write(self) -> None:
         """Write all rows; without any there is no file, so that a file that lost them is seen."""

@@ -14,6 +14,7 @@ from cdcsr.simulation.arguments import MOST_COPIES, check_count, check_number
 from training.algorithms.registry import differences, numbers_of, own_numbers
 from training.config.learner import Cloning, Network
 from training.config.run_description import RENAMED, Changes, RunDescription
+from training.run.trackers import TrackerName
 
 STATE, SUMMARY = "state.safetensors", "summary.json"
 """While a run is unfinished its folder holds the first; once it is finished, the second."""
@@ -54,6 +55,8 @@ class Train(RunDescription):
     """Episodes of each evaluation."""
     stop_after: float | None = None
     """Stop after this many minutes; the run can be resumed."""
+    track: TrackerName | None = None
+    """Also log the metrics to Weights & Biases, offline into the run's folder, or to trackio."""
     force: bool = False
     """Begin anew in a folder that holds another run."""
     json: Path | None = None

@@ -7,6 +7,7 @@ from collections import deque
 from collections.abc import Iterator
 from contextlib import contextmanager
 from functools import partial
+from importlib import import_module
 
 import numpy as np
 import torch
@@ -29,6 +30,7 @@ from training.policy import Policy, load_policy
 from training.run.checkpoint import Counters, Parts, load_state, save_state
 from training.run.metrics import Meter, Metrics
 from training.run.setup import Setup, as_tensor
+from training.run.trackers import start_tracker
 from training.run.train_options import RUN_FOLDER, STATE, SUMMARY, Train, read_older
 
 
@@ -46,6 +48,10 @@ def train(config: Train) -> Policy:
     # Threads only slow small matrices down; seeds are run side by side instead.
     torch.set_num_threads(1)
     setup = Setup(config)
+    if config.track:
+        import_module(
+            config.track
+        )  # one that is missing should be told before the clone is trained
     identity = setup.identity()
     older = partial(read_older, run=config, now=identity, path=config.out / RUN_FOLDER.record)
     with RUN_FOLDER.claim(config.out, identity, older, config.force):
@@ -106,7 +112,8 @@ class Run:
             recent.extend(bool(success) for success in counters["recent"])
         else:
             self._begin(parts, clone)
-        metrics, meter, stopped = Metrics(self.folder, done_before), Meter(), False
+        tracker = config.track and start_tracker(config.track, self.folder, config.as_dict())
+        metrics, meter, stopped = Metrics(self.folder, done_before, tracker), Meter(), False
         update = done_before
         with tqdm(
             total=learner.updates,
@@ -144,6 +151,7 @@ class Run:
                     metrics.add(self._measure(algorithm.policy, counters, meter))
                     if not done:
                         save_state(state, parts, counters)
+        metrics.close()
         env.close()
         if stopped:
             print(f"Stopped after update {update}; the same options go on from here.")
