@@ -112,9 +112,8 @@ class Run:
             recent.extend(bool(success) for success in counters["recent"])
         else:
             self._begin(parts, clone)
-        tracker = config.track and start_tracker(config.track, self.folder, config.as_dict())
-        metrics, meter, stopped = Metrics(self.folder, done_before, tracker), Meter(), False
-        update = done_before
+        metrics = self._metrics(done_before)
+        meter, stopped, update = Meter(), False, done_before
         with tqdm(
             total=learner.updates,
             initial=done_before,
@@ -188,6 +187,12 @@ class Run:
         collector.start(config.seed)
         generators = {"noise": noise, "sample": sample, "hindsight": hindsight}
         return Parts(algorithm, replay, collector, generators, torch_generator), env
+
+    def _metrics(self, done_before: int) -> Metrics:
+        """Go on with the table of the updates that are done, and begin a run in a tracker."""
+        config = self.config
+        tracker = config.track and start_tracker(config.track, self.folder, config.as_dict())
+        return Metrics(self.folder, done_before, tracker)
 
     def _begin(self, parts: Parts, clone: BehaviourCloning | None) -> None:
         """Fill the replay and start the actor as the algorithm asks."""
