@@ -38,7 +38,9 @@ from cosmic_ray.plugins import get_operator, operator_names  # type: ignore[impo
 from coverage import Coverage
 
 ROOT = Path(__file__).parents[2]
-ENGINES = "tests/backends/contract tests/backends/physics/test_analytic.py "
+PHYSICS = "tests/backends/physics/test_"
+ENGINES = f"tests/backends/contract {PHYSICS}analytic.py {PHYSICS}coupling.py {PHYSICS}servos.py "
+ENGINES += f"{PHYSICS}elastic_cables.py {PHYSICS}rods.py "
 PACKAGES: dict[str, str] = {
     "cdcsr/robot": ENGINES + "tests/cdcsr/robot tests/backends/export tests/backends/mujoco "
     "tests/training/commands/test_new_robot.py",
@@ -63,10 +65,9 @@ LEFT_OUT = ("benchmarks.py", "model_choices.py")
 """Files that only measure speed, which fast tests do not."""
 LOADED = "numpy scipy.optimize torch mujoco pybullet numba pydantic gymnasium minari"
 """Packages that are loaded once, before the processes of the tests part from this one."""
-BUDGET = 30.0
-"""Seconds of tests, by their time without a change, that a change gets."""
-TIMEOUT = 300.0
-"""Seconds after which a change that keeps the tests busy counts as noticed."""
+BUDGET, TIMEOUT = 30.0, 300.0
+"""Seconds of tests, by their time without a change, that a change gets; and seconds after which one
+that keeps the tests busy counts as noticed."""
 
 
 class Mutant(NamedTuple):
@@ -153,8 +154,7 @@ def sample(package: str, num: int, seed: int) -> tuple[list[Mutant], int]:
             continue
         pairs = zip(code.splitlines(), changed.splitlines(), strict=False)
         line = next((i for i, (a, b) in enumerate(pairs, 1) if a != b), 0)
-        text = changed.splitlines()[line - 1].strip()
-        chosen.append(Mutant(file, name, changed, line, text))
+        chosen.append(Mutant(file, name, changed, line, changed.splitlines()[line - 1].strip()))
     return chosen, len(everything)
 
 
@@ -228,15 +228,15 @@ class Copy:
         every = [{test for test in tests if test} for tests in lines.values()]
         exact = {test for test in lines.get(str(mutant.line), []) if test}
         reached = exact or set().union(*every) or set(self._seconds)
-        room, module = f"tests/{self._package}", mutant.file.removesuffix(".py").replace("/", ".")
+        names = f"from {mutant.file[:-3].replace('/', '.')} ", Path(mutant.file).name
         texts = {file: (self._folder / file).read_text("utf-8") for file in map(_file_of, reached)}
-        total, chosen = 0.0, []
 
         def place(test: str) -> tuple[bool, bool, float]:
-            names = f"from {module} ", Path(mutant.file).name
             foreign = not any(name in texts[_file_of(test)] for name in names)
-            return foreign, not test.startswith(room), self._seconds.get(test, 0.0)
+            away = not test.startswith(f"tests/{self._package}")
+            return foreign, away, self._seconds.get(test, 0.0)
 
+        total, chosen = 0.0, []
         for test in sorted(reached, key=place):
             total += self._seconds.get(test, 0.0)
             if chosen and total > BUDGET:

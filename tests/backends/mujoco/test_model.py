@@ -11,6 +11,7 @@ from backends.mujoco.model import build_spec
 from backends.mujoco.model_choices import Choice, cheapest, model_choices
 from cdcsr.robot.colors import BACKGROUND, segment_color
 from cdcsr.robot.description import Robot, load_robot
+from cdcsr.robot.routing import cable_lengths, routing
 from cdcsr.simulation.rotations import rotation_matrix
 from tests.support.physics import described_bodies
 
@@ -115,6 +116,22 @@ def test_parts_look_as_large_as_described_and_weigh_and_touch_nothing(paper: Rob
     # What a viewer looks at: the middle of base and arm, and as far as it reaches.
     np.testing.assert_allclose(model.stat.center, [0, 0, (paper.top + 2.4) / 2], atol=1e-12)
     assert model.stat.extent == pytest.approx(np.hypot(2.4, paper.base.size[0]))
+
+
+def test_tendons_are_as_long_as_the_cables_on_their_ways(paper: Robot) -> None:
+    """A helix, a cable whose sheath keeps its length, and straight ones, on a bent arm."""
+    data = paper.model_dump()
+    helix = {"angle_deg": 10.0, "end_pitch_radius": 0.01, "twist_deg": 200.0}
+    led = {"angle_deg": 130.0, "first_link": 2, "last_link": 9, "twist_deg": -50.0}
+    data["segments"][0]["cables"] |= {"angles_deg": (10.0, 130.0), "paths": (helix, led)}
+    robot, random = Robot.model_validate(data), np.random.default_rng(0)
+    model = build_spec(robot).compile()
+    bent = mujoco.MjData(model)
+    travel, hinges = random.uniform(-0.1, 0.005, 6), random.uniform(-0.5, 0.5, 24)
+    bent.qpos = np.concatenate([[0, 0, 0, 1, 0, 0, 0], travel, hinges])
+    mujoco.mj_forward(model, bent)
+    expected = cable_lengths(routing(robot), travel, hinges)
+    np.testing.assert_allclose(bent.ten_length, expected, rtol=1e-12)
 
 
 def test_coupled_hinges_follow_their_leaders_and_need_another_solver(paper: Robot) -> None:

@@ -15,7 +15,7 @@ import mujoco
 import numpy as np
 import pytest
 
-from backends.contract_suite.states import assert_same, commands_of, moving, straight
+from backends.contract_suite.states import assert_same, commands_of, moving, running, straight
 from backends.mujoco.active_cables import CURRENT
 from backends.mujoco.simulation import MujocoSimulation
 from cdcsr.errors import Diverged
@@ -52,6 +52,22 @@ def test_a_state_does_not_change_when_the_simulation_goes_on(paper: Robot) -> No
     before = copy.deepcopy(state)
     simulation.step(commands_of(paper, 1)[0], 50)
     assert_same(state, before)
+
+
+@pytest.mark.parametrize("engine", ["mujoco", "mujoco-stock"])
+def test_copies_that_are_put_elsewhere_have_no_tension_yet(paper: Robot, engine: str) -> None:
+    with running(paper, engine, 3) as simulation:
+        simulation.step(np.full((3, paper.num_cables), -1.0), 20)
+        pulled = simulation.state().cable_tension
+        simulation.reset([0])
+        snapshot = simulation.get_snapshot()
+        simulation.place([2], snapshot.position[[1]], snapshot.velocity[[1]])
+        tension = simulation.state().cable_tension
+        assert (pulled > 1).all()
+        assert not tension[[0, 2]].any()
+        np.testing.assert_array_equal(tension[1], pulled[1])
+        simulation.set_snapshot(dataclasses.replace(snapshot, engine="by hand"))
+        assert not simulation.state().cable_tension.any()
 
 
 @pytest.mark.usefixtures("elsewhere")

@@ -10,12 +10,12 @@ import mujoco
 import numpy as np
 import pytest
 
-from backends.contract_suite.states import commands_of, running, stretch
+from backends.contract_suite.states import commands_of, running, straight, stretch
 from backends.mujoco.export import write_mjcf
 from backends.mujoco.stock import MujocoStock, StockOptions
 from cdcsr.robot.description import Robot
 from cdcsr.simulation.engines import make_simulation
-from tests.support.physics import slack
+from tests.support.physics import slack, with_parts
 
 INTEGRATORS = {
     "implicitfast": mujoco.mjtIntegrator.mjINT_IMPLICITFAST,
@@ -67,6 +67,21 @@ def test_the_exported_file_is_the_engine_with_the_descriptions_softness(
     for name in ("jnt_solref", "jnt_solimp", "tendon_solref_lim", "tendon_solimp_lim"):
         np.testing.assert_array_equal(getattr(model, name), getattr(ours, name), err_msg=name)
     assert model.opt.integrator == ours.opt.integrator == int(INTEGRATORS["implicitfast"])
+
+
+def test_a_slack_elastic_cable_has_no_tension(paper: Robot) -> None:
+    """A taut one pulls by E A / L times its stretch at the beginning of the step, which is 0.1 mm,
+    and by the nanometre by which cables of the model are shorter than described."""
+    robot = with_parts(paper, cables={"axial_stiffness": 1e4})
+    position = straight(robot)
+    position.position[0, 7:15] = np.where(np.arange(8) % 2, 0.005, -1e-4)
+    with running(robot, "mujoco-stock") as simulation:
+        simulation.set_snapshot(position)
+        simulation.step(np.zeros((1, 8)))
+        tension = simulation.state().cable_tension[0]
+    assert not tension[1::2].any()
+    lengths = np.repeat([1.4, 2.6], 4)
+    np.testing.assert_allclose(tension[::2], (1e4 / lengths * 1e-4)[::2], rtol=2e-5)
 
 
 def test_a_pulled_cable_stretches_as_derived(paper: Robot) -> None:
