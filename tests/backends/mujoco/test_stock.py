@@ -13,7 +13,7 @@ import pytest
 from backends.contract_suite.states import commands_of, running, straight, stretch
 from backends.mujoco.export import write_mjcf
 from backends.mujoco.stock import MujocoStock, StockOptions
-from cdcsr.robot.description import Robot
+from cdcsr.robot.description import Robot, load_robot
 from cdcsr.simulation.engines import make_simulation
 from tests.support.physics import slack, with_parts
 
@@ -67,6 +67,20 @@ def test_the_exported_file_is_the_engine_with_the_descriptions_softness(
     for name in ("jnt_solref", "jnt_solimp", "tendon_solref_lim", "tendon_solimp_lim"):
         np.testing.assert_array_equal(getattr(model, name), getattr(ours, name), err_msg=name)
     assert model.opt.integrator == ours.opt.integrator == int(INTEGRATORS["implicitfast"])
+
+
+def test_linkages_are_as_soft_as_limits() -> None:
+    robot = load_robot("paper-coupled")
+    impedance, time = robot.mujoco.impedance, robot.constraint.recovery_time
+    for softness, solref, most in (("mujoco", 0.02, 0.95), ("description", time, impedance)):
+        options = StockOptions.model_validate({"softness": softness})
+        model = MujocoStock(robot, options=options).model
+        linked = model.eq_type == mujoco.mjtEq.mjEQ_JOINT
+        assert linked.sum() == 20
+        assert (model.eq_solref[linked] == [solref, 1.0]).all()
+        assert (model.eq_solimp[linked, 1] == most).all()
+        hinged = model.jnt_type == mujoco.mjtJoint.mjJNT_HINGE
+        assert (model.jnt_solref[hinged] == [solref, 1.0]).all()
 
 
 def test_a_slack_elastic_cable_has_no_tension(paper: Robot) -> None:
