@@ -304,6 +304,7 @@ class _NamedInModel:
     """One element of a model; which of these fields there are depends on its kind."""
 
     id: int
+    size: _Floats
     mass: _Floats
     inertia: _Floats
     iquat: _Floats

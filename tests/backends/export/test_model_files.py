@@ -283,6 +283,7 @@ def test_the_cameras_of_a_file_look_at_the_robots_middle(tmp_path: Path) -> None
     data = mujoco.MjData(model)
     mujoco.mj_forward(model, data)
     assert {model.camera(i).name for i in range(model.ncam)} == set(CAMERAS)
+    assert model.site("target").size[0] == pytest.approx(0.018)  # of an arm of 2.4 m, in [m]
     for name, (azimuth, elevation) in CAMERAS.items():
         x, y, z = data.camera(name).xmat.reshape(3, 3).T  # the camera looks along -z
         apart = model.stat.center - data.camera(name).xpos
