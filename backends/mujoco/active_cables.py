@@ -24,6 +24,7 @@ import numpy as np
 from mujoco import batch
 from numpy.typing import NDArray
 
+from backends.mujoco.guide_friction import GuideFriction, add_friction
 from backends.mujoco.model import RIGID_SOLIMP, TOUCH, UNLIMITED, build_spec, rigid_solref
 from cdcsr.errors import CdcsrError
 from cdcsr.robot.description import Robot
@@ -53,13 +54,17 @@ but such tries can cycle. Later ones change only the first wrong cable; for posi
 matrices this never cycles (Murty's least-index rule)."""
 
 
-def stepping_spec(robot: Robot) -> mujoco.MjSpec:
+def stepping_spec(robot: Robot, friction: bool = False) -> mujoco.MjSpec:
     """Build the model that a batch steps with: the same robot, with dampers implicit in M + h C.
 
     Every joint with damping c gets the armature h c, where h is the time step. The armatures are
     the matrix h C, and the constraint solver sees them too: then (M + h C) a = f - C v + ... is an
     explicit step of semi-implicit Euler. MuJoCo's implicit integrators would solve the constraints
     with M, but move with M + h C.
+
+    Args:
+        robot: the description.
+        friction: whether cables can rub in their guides.
     """
     spec = build_spec(robot)
     spec.option.integrator = mujoco.mjtIntegrator.mjINT_EULER
@@ -73,6 +78,8 @@ def stepping_spec(robot: Robot) -> mujoco.MjSpec:
     for equality in spec.equalities:  # of tendons and of coupled hinges
         equality.active = True
         equality.solref, equality.solimp = rigid_solref(robot), RIGID_SOLIMP
+    if friction:
+        add_friction(spec, robot)
     return spec
 
 
@@ -82,6 +89,7 @@ class Cables:
     Attributes:
         tension: in the last step, shape (num, C), in [N], never negative; zero for copies that were
             reset or placed since.
+        friction: in the guides, if the model has it.
     """
 
     def __init__(self, robot: Robot, many: batch.Batch) -> None:
@@ -97,17 +105,23 @@ class Cables:
         self._target[:] = route.bent
         self._recovering = False
         self._keep = 1 - robot.time_step / robot.constraint.recovery_time
-        self._length, self._held = many.bind("ten_length"), many.bind("eq_active")[:, :cables]
+        self._length = many.bind("ten_length")[:, :cables]
+        self._held = many.bind("eq_active")[:, :cables]
         self._travel, self._push, self._stop = _sliders(robot, many)
+        hinges, self.friction = many.bind("qpos")[:, base_size(robot)[0] + cables :], None
+        if many.model.ntendon > cables:
+            self.friction = GuideFriction(robot, many, hinges)
         self._step, self._compliance = robot.time_step, np.zeros_like(self.tension)
         self._elastic = False
         plant = Parameters().plant(robot, many.nsim)
-        if plant.cable_compliance.any():
+        if plant.cable_compliance.any() or plant.guide_friction.any():
             self.set_plant(np.arange(many.nsim), plant)
 
     def set_plant(self, ids: NDArray[np.int64], plant: Plant) -> None:
         """Give the cables of copies `ids` the numbers in the rows of `plant`; their masses must be
         set before."""
+        if self.friction is not None:
+            self.friction.set_coefficient(ids, plant.guide_friction)
         self._rest[ids] = self._described_rest + plant.rest_length_offset
         self._target[ids] = self._bent + plant.rest_length_offset
         if self._elastic or plant.cable_compliance.any():
@@ -128,9 +142,10 @@ class Cables:
         soft = self._compliance[ids] > 0
         impedance = np.where(soft, 0.5, model.eq_solimp[:cables, 0])
         stiff = np.stack([impedance / self._step**2, impedance / self._step], axis=-1)
-        rigid = (1 - model.eq_solimp[:cables, 0]) * model.tendon_invweight0
+        described = model.tendon_invweight0[:cables]
+        rigid = (1 - model.eq_solimp[:cables, 0]) * described
         weight = np.maximum(self._compliance[ids] / self._step**2, rigid)
-        many.expand("tendon_invweight0")[ids] = np.where(soft, weight, model.tendon_invweight0)
+        many.expand("tendon_invweight0")[ids, :cables] = np.where(soft, weight, described)
         many.expand("eq_solimp")[ids, :cables, :2] = impedance[..., None]
         many.expand("eq_solref")[ids, :cables] = np.where(
             soft[..., None], -stiff, model.eq_solref[:cables]
@@ -141,12 +156,12 @@ class Cables:
         many, end = self._batch, self._aim()
         before = self._before
         before[:] = many.state
+        bounds = None if self.friction is None else self.friction.bound.copy()
         # The constraint force on a slider is the tension of its own cable, upward while the slider
         # is below the first guide; that of its stop is downward.
         side = np.sign(self._slider_offset - self._travel)
         too_long = end + _TOO_LONG
-        many.step(stage=CURRENT)
-        pull = (self._push + self._stop) * side
+        pull = self._advance(side)
         # The limit is only reached if curvature makes a cable seem wrong both ways; then either
         # will do.
         for tries in range(_TOGETHER + 2 * end.shape[1]):
@@ -159,10 +174,28 @@ class Cables:
             held = (self._held[ids] != 0) ^ wrong[ids]
             many.state[ids] = before[ids]
             self._held[ids] = held
+            if self.friction is not None and bounds is not None:
+                self.friction.bound[ids] = bounds[ids]
             many.forward(ids, stage=CURRENT)
-            many.step(ids, stage=CURRENT)
-            pull = (self._push + self._stop) * side
+            pull = self._advance(side, ids)
         np.maximum(pull, 0, out=self.tension)
+
+    def _advance(self, side: Array, ids: NDArray[np.int64] | None = None) -> Array:
+        """Let copies, by default all, make a step.
+
+        Returns:
+            The force of every active cable in [N], shape (num, C); negative where one pushes.
+        """
+        many = self._batch
+        if self.friction is None:
+            many.step(ids, stage=CURRENT)
+        else:
+            many.step(ids, stage=int(mujoco.mjtStage.mjSTAGE_NONE))
+            chosen = np.arange(len(side)) if ids is None else ids
+            pull = ((self._push + self._stop) * side)[chosen]
+            self.friction.bound_next(chosen, np.maximum(pull, 0))
+            many.forward(ids, stage=CURRENT)
+        return (self._push + self._stop) * side
 
     def _aim(self) -> Array:
         """Set the lengths at which active cables end the coming step, and return them.
@@ -189,7 +222,10 @@ class Limits:
 
     Attributes:
         tension: as in :class:`Cables`, which this can replace.
+        friction: none.
     """
+
+    friction = None
 
     def __init__(self, robot: Robot, many: batch.Batch) -> None:
         cables = robot.num_cables

@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
+import mujoco
 import numpy as np
 from mujoco import batch
 from numpy.typing import NDArray
 
+from cdcsr.simulation.loads import Loads
 from cdcsr.simulation.plant import Plant
+
+Array = NDArray[np.float64]
 
 
 def write_plant(many: batch.Batch, ids: NDArray[np.int64], plant: Plant) -> None:
@@ -36,3 +40,25 @@ def write_plant(many: batch.Batch, ids: NDArray[np.int64], plant: Plant) -> None
     moved = (mass[ids] != before[0]).any(axis=1) | (inertia[ids] != before[1]).any(axis=(1, 2))
     moved |= (armature[ids] != before[2]).any(axis=1)
     many.set_const(ids[moved])
+
+
+def dense_tendon_jacobian(model: mujoco.MjModel, data: mujoco.MjData) -> Array:
+    """Return the derivatives of all tendons' lengths, shape (ntendon, nv)."""
+    dense = np.zeros((model.ntendon, model.nv))
+    columns = model.ten_J_colind.ravel()
+    mujoco.mju_sparse2dense(
+        dense, data.ten_J.ravel(), model.ten_J_rownnz, model.ten_J_rowadr, columns
+    )
+    return dense
+
+
+def load_force(model: mujoco.MjModel, data: mujoco.MjData, loads: Loads, copy: int) -> Array:
+    """Return the generalized force of the loads on one copy, shape (model.nv,)."""
+    total = np.zeros(model.nv)
+    first_link = model.body("link_0").id
+    force, torque, point = loads.force[copy], loads.torque[copy], loads.point[copy]
+    for link, slot in np.argwhere(force.any(axis=-1) | torque.any(axis=-1)):
+        body, one = first_link + int(link), (link, slot)
+        place = data.xipos[body] + data.xmat[body].reshape(3, 3) @ point[one]
+        mujoco.mj_applyFT(model, data, force[one], torque[one], place, body, total)
+    return total

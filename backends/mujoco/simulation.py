@@ -11,7 +11,7 @@ from mujoco import batch
 from numpy.typing import NDArray
 
 from backends.mujoco.active_cables import CURRENT, Cables, Limits, base_size, stepping_spec
-from backends.mujoco.copies import write_plant
+from backends.mujoco.copies import dense_tendon_jacobian, load_force, write_plant
 from cdcsr.errors import CdcsrError
 from cdcsr.robot.colors import TARGET, TARGET_RADIUS
 from cdcsr.robot.description import Robot
@@ -28,7 +28,6 @@ from cdcsr.simulation.contract import (
     State,
 )
 from cdcsr.simulation.engines import processors
-from cdcsr.simulation.loads import Loads
 from cdcsr.simulation.plant import Plant
 from cdcsr.simulation.rotations import rotation_matrix
 
@@ -87,8 +86,15 @@ class BatchSimulation(Simulation):
         super().__init__(robot, num, options)
         if threads is None:  # to wake a thread costs about as much as to step a few copies
             threads = processors() if num >= 8 else 1
+        self._threads = threads
+        self._build()
+        self.reset()
+
+    def _build(self) -> None:
+        """Make the batch, for cables that rub only if some do: this takes twice as long."""
+        robot = self.robot
         self.model = model = self._spec().compile()
-        self.batch = batch.Batch(model, self.num, threads, True)
+        self.batch = batch.Batch(model, self.num, self._threads, True)
         self._sensors = self.batch.bind("sensordata")
         self._qpos, self._qvel = self.batch.bind("qpos"), self.batch.bind("qvel")
         self._time, self._ctrl = self.batch.bind("time"), self.batch.bind("ctrl")
@@ -103,13 +109,18 @@ class BatchSimulation(Simulation):
         self._renderer: mujoco.Renderer | None = None
         # Receives the model of a copy that is looked at; None while all copies have the same model.
         self._own_model: mujoco.MjModel | None = None
-        self.reset()
 
     @abstractmethod
     def _spec(self) -> mujoco.MjSpec:
         """Build the model that all copies step, by `robot` and `options`."""
 
     def _set_plant(self, ids: NDArray[np.int64], plant: Plant) -> None:
+        if plant.guide_friction.any() and self._cables.friction is None:
+            snapshot = self._get_snapshot()
+            self._build()
+            self._set_plant(np.arange(self.num), self.plant)
+            self._set_snapshot(snapshot)
+            return
         write_plant(self.batch, ids, plant)
         self._cables.set_plant(ids, plant)
         # The next step starts from what the last one has computed, which is out of date now.
@@ -118,13 +129,19 @@ class BatchSimulation(Simulation):
             self._own_model = self.batch.get_model(0)
 
     def _reset(self, ids: NDArray[np.int64]) -> None:
+        self._forget(ids)
         self.batch.reset(ids, stage=CURRENT)
         travel = self.plant.start_travel[ids]
         if travel.any() or self._start.any():
             self._qpos[ids, self._q : self._q + self.robot.num_cables] = travel
             self._qpos[ids, self._q + self.robot.num_cables :] = self._start
             self.batch.forward(ids, stage=CURRENT)
+
+    def _forget(self, ids: NDArray[np.int64]) -> None:
+        """Take away what copies keep of their last step."""
         self._cables.tension[ids] = 0
+        if self._cables.friction is not None:
+            self._cables.friction.bound[ids] = 0
 
     def _place(self, ids: NDArray[np.int64], position: Array, velocity: Array) -> None:
         self.batch.reset(ids, stage=int(mujoco.mjtStage.mjSTAGE_NONE))
@@ -133,7 +150,7 @@ class BatchSimulation(Simulation):
         if self._v:
             to_body = rotation_matrix(position[:, 3:7]).swapaxes(1, 2)
             self._qvel[ids, 3:6] = np.einsum("nij,nj->ni", to_body, velocity[:, 3:6])
-        self._cables.tension[ids] = 0
+        self._forget(ids)
         self.batch.forward(ids, stage=CURRENT)
 
     def _step(self, command: Array, substeps: int) -> None:
@@ -176,21 +193,27 @@ class BatchSimulation(Simulation):
     def _get_snapshot(self) -> Snapshot:
         velocity = self._whole_velocity()
         velocity[:, 3:6] = self._sensors[:, 6:9]  # MuJoCo's own is in the base frame
-        private = np.concatenate([self.batch.state, self._cables.tension], axis=1)
+        parts = [self.batch.state, self._cables.tension]
+        if self._cables.friction is not None:
+            parts.append(self._cables.friction.bound)
         return Snapshot(
             self.engine,
             self.robot.fingerprint,
             self._time.copy(),
             self._whole_position(),
             velocity,
-            private,
+            np.concatenate(parts, axis=1),
         )
 
     def _set_snapshot(self, snapshot: Snapshot) -> None:
         if snapshot.engine == self.engine:
             size = self.batch.state.shape[1]
             self.batch.state[:] = snapshot.private[:, :size]
-            self._cables.tension[:] = snapshot.private[:, size:]
+            bounds = size + self.robot.num_cables
+            self._cables.tension[:] = snapshot.private[:, size:bounds]
+            if self._cables.friction is not None:
+                rest = snapshot.private[:, bounds:]
+                self._cables.friction.bound[:] = rest if rest.size else 0
         else:
             self._place(np.arange(self.num), snapshot.position, snapshot.velocity)
             self._time[:] = snapshot.time
@@ -247,9 +270,10 @@ class BatchSimulation(Simulation):
             tip[i, :, moved] = own_tip
             bias[i, moved], passive[i, moved] = data.qfrc_bias, data.qfrc_passive
             velocity[i, moved] = data.qvel
-            cables[i, :, moved], length[i] = _dense_tendon_jacobian(model, data), data.ten_length
+            rows = dense_tendon_jacobian(model, data)[:num_cables]
+            cables[i, :, moved], length[i] = rows, data.ten_length[:num_cables]
             if self.loads.active:
-                passive[i, moved] += _load_force(model, data, self.loads, int(copy))
+                passive[i, moved] += load_force(model, data, self.loads, int(copy))
         if not self._v:
             return Dynamics(mass, bias, passive, tip, cables, velocity, length)
         # MuJoCo's base angular velocity is in the base frame: v_body = R^T v_world. The rate of R^T
@@ -304,7 +328,9 @@ class MujocoSimulation(BatchSimulation):
 
     engine = "mujoco"
     title = "MuJoCo"
-    capabilities = frozenset({"render", "bit_exact", "elastic_cables", "servo_kinds"})
+    capabilities = frozenset(
+        {"render", "bit_exact", "elastic_cables", "servo_kinds", "guide_friction"}
+    )
     physics = Physics(
         joint_dynamics="MuJoCo's",
         integration="MuJoCo's Euler, semi-implicit",
@@ -316,25 +342,4 @@ class MujocoSimulation(BatchSimulation):
     cables_type = Cables
 
     def _spec(self) -> mujoco.MjSpec:
-        return stepping_spec(self.robot)
-
-
-def _dense_tendon_jacobian(model: mujoco.MjModel, data: mujoco.MjData) -> Array:
-    dense = np.zeros((model.ntendon, model.nv))
-    columns = model.ten_J_colind.ravel()
-    mujoco.mju_sparse2dense(
-        dense, data.ten_J.ravel(), model.ten_J_rownnz, model.ten_J_rowadr, columns
-    )
-    return dense
-
-
-def _load_force(model: mujoco.MjModel, data: mujoco.MjData, loads: Loads, copy: int) -> Array:
-    """Return the generalized force of the loads on one copy, shape (model.nv,)."""
-    total = np.zeros(model.nv)
-    first_link = model.body("link_0").id
-    force, torque, point = loads.force[copy], loads.torque[copy], loads.point[copy]
-    for link, slot in np.argwhere(force.any(axis=-1) | torque.any(axis=-1)):
-        body, one = first_link + int(link), (link, slot)
-        place = data.xipos[body] + data.xmat[body].reshape(3, 3) @ point[one]
-        mujoco.mj_applyFT(model, data, force[one], torque[one], place, body, total)
-    return total
+        return stepping_spec(self.robot, friction=bool(self.plant.guide_friction.any()))

@@ -12,10 +12,7 @@ without the dampers, is given to Bullet as joint torques. What Bullet alone know
 its bodies, its clamp on speeds) is not in f, so that a cable may end a step longer by as much as
 these move it; the next step takes it back.
 
-An explicit damper c oscillates where h c exceeds the inertia that it acts on. So it is for a link
-bent by nearly a right angle, which its first hinge then turns about its own thin axis. There, and
-only there, the damper is made implicit: M + h c takes the place of M, and -h c a is a torque more.
-At joints of another kind, whose links may be thin rods, all dampers are implicit.
+Dampers that would be too stiff are implicit: see :mod:`backends.pybullet.dampers`.
 
 Limits are Bullet's, of hinges and of sliders at their stops. A joint that is past its limit has a
 row in the problem, because Bullet's push there changes the tensions; but only tensions are handed
@@ -34,10 +31,11 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from backends.pybullet.dampers import damp, fill_mass, stiff_dampers
 from backends.pybullet.lcp import (
     factor,
+    solve_boxed,
     solve_complementarity,
-    solve_transposed,
     solve_with_equalities,
 )
 from backends.pybullet.rig import Rig, cable_rows
@@ -47,45 +45,12 @@ from cdcsr.simulation.plant import Plant
 Array = NDArray[np.float64]
 Ints = NDArray[np.int64]
 
+_CREEP = 1e-5
+"""A cable that sticks in a guide creeps by this part of what its friction would move it by alone.
+There are more guides than coordinates, so that without it friction would have many solutions."""
 LIMIT_RECOVERY = 0.2
 """The part of the excess that Bullet takes back in a step from a joint past its limit. A joint that
 has not passed it yet moves freely."""
-
-
-@compiled()
-def stiff_dampers(rig: Rig, plant: Plant, copy: int, hinges: Array, step: float) -> Array:
-    """Return the dampers that must be implicit, others as zero, shape (C + H,).
-
-    A damper turns the two bodies at its hinge against each other. Alone in space, moments I and J
-    about its axis, it would change their relative speed by h c (1 / I + 1 / J) of itself in a step;
-    an explicit step is stable below 2. In the chain up to four dampers act on one link about one
-    axis, so that a damper is explicit below 1/2.
-
-    Args:
-        rig, plant, copy, step: as for :func:`joint_forces`.
-        hinges: shape (H,), in [rad].
-    """
-    cables, damping = rig.slider_mass.size, plant.damping[copy]
-    if not rig.universal:
-        return damping.copy()
-    stiff = np.zeros(damping.size)
-    for c in range(cables):
-        if step * damping[c] / rig.slider_mass[c] > 0.5:
-            stiff[c] = damping[c]
-    lower = plant.base_inertia[copy]
-    for j in range(hinges.size // 2):
-        upper = plant.link_inertia[copy, j]
-        # The x axis belongs to the lower body and is tilted in the upper one; y the other way.
-        tilt_x, tilt_y = np.sin(hinges[2 * j + 1]) ** 2, np.sin(hinges[2 * j]) ** 2
-        about_x = upper[0] * (1 - tilt_x) + upper[2] * tilt_x
-        about_y = lower[1] * (1 - tilt_y) + lower[2] * tilt_y
-        x, y = cables + 2 * j, cables + 2 * j + 1
-        if step * damping[x] * (1 / lower[0] + 1 / about_x) > 0.5:
-            stiff[x] = damping[x]
-        if step * damping[y] * (1 / about_y + 1 / upper[1]) > 0.5:
-            stiff[y] = damping[y]
-        lower = upper
-    return stiff
 
 
 @compiled()
@@ -137,12 +102,10 @@ def _linkage_rows(
 def _solve(
     rig: Rig,
     limited: Ints,
-    matrix: Array,
-    white: Array,
-    held: Array,
+    softness: Array,
+    whole: Array,
     room: Array,
     apart: Array,
-    rest: Array,
     pull: Array,
     pushes: Array,
     force: Array,
@@ -152,26 +115,78 @@ def _solve(
     Args:
         rig: the robot's numbers.
         limited: the joints that are past their limits.
-        matrix: of the forces of cables and limits.
-        white: L^-1 times the rows of cables and limits, where L is the factor of the mass matrix.
-        held: the same of linkages.
-        room: what these rows may reach beyond what drives.
+        softness: c / h^2 of each cable, shape (C,).
+        whole: L, the factor of the mass matrix; L^-1 times what drives, to which linkages are
+            added; L^-1 times the rows of cables, limits and linkages.
+        room: what the rows of cables and limits may reach; what drives is taken off.
         apart: what the rows of linkages must reach.
-        rest: L^-1 times what drives; linkages are added.
         pull: replaced by the forces of cables and limits; the old ones are a first guess.
         pushes: all rows.
         force: the forces on the joints; those that Bullet does not know are added, but for cables.
     """
+    size, count, cables = whole.shape[1], pull.size, softness.size
+    rest, white, held = whole[size], whole[size + 1 : size + 1 + count], whole[size + 1 + count :]
+    matrix = white @ white.T
+    for c in range(cables):
+        matrix[c, c] += softness[c]
+    room -= white @ rest
     if not len(held):
         solve_complementarity(matrix, room, pull)
         return
     linkage = solve_with_equalities(matrix, white, held, room, apart - held @ rest, pull)
     rest -= linkage @ held
-    force -= linkage @ pushes[len(white) :]
-    cables = len(white) - limited.size
+    force -= linkage @ pushes[count:]
+    _push_coupled(rig, limited, pull, pushes, force)
+
+
+@compiled()
+def _push_coupled(rig: Rig, limited: Ints, pull: Array, pushes: Array, force: Array) -> None:
+    """Add the forces of the limits of coupled hinges, which Bullet does not know."""
+    cables = pull.size - limited.size
     for i, k in enumerate(limited):
         if k >= cables and rig.coupled[k - cables]:
             force -= pull[cables + i] * pushes[cables + i]
+
+
+@compiled()
+def _solve_rubbing(
+    rig: Rig,
+    limited: Ints,
+    softness: Array,
+    whole: Array,
+    room: Array,
+    bound: Array,
+    pull: Array,
+    pushes: Array,
+    force: Array,
+    friction: Array,
+) -> None:
+    """Do what :func:`_solve` does, where cables rub in their guides.
+
+    Args:
+        rig, limited, softness, pull, pushes, force: as there.
+        whole: as there; the last rows are those of friction.
+        room: what all rows may or must reach; what drives is taken off.
+        bound: the largest friction of each place, shape (R,), in [N].
+        friction: as for :func:`joint_forces`.
+    """
+    size, count = whole.shape[1], pull.size
+    rest, white = whole[size], whole[size + 1 :]
+    total, held = len(white), len(white) - bound.size
+    matrix = white @ white.T
+    for c in range(softness.size):
+        matrix[c, c] += softness[c]
+    for i in range(held, total):
+        matrix[i, i] *= 1 + _CREEP
+    lower, upper, solution = np.zeros(total), np.full(total, np.inf), np.zeros(total)
+    lower[count:held], lower[held:], upper[held:] = -np.inf, -bound, bound
+    solution[:count], solution[held:] = pull, -friction
+    solve_boxed(matrix, room - white @ rest, lower, upper, solution)
+    pull[:] = solution[:count]
+    friction[:] = -solution[held:]
+    rest -= solution[count:] @ white[count:]
+    force -= solution[count:] @ pushes[count:]
+    _push_coupled(rig, limited, pull, pushes, force)
 
 
 @compiled()
@@ -186,11 +201,11 @@ def _cable_slack(
 
 
 @compiled()
-def _fill_mass(whole: Array, mass: Array, stiff: Array) -> None:
-    """Fill in M + h C, where `stiff` is the diagonal of h C for sliders and hinges."""
-    whole[: len(mass)] = mass
-    for k in range(stiff.size):
-        whole[6 + k, 6 + k] += stiff[k]
+def _take_off(rows: Array, velocity: Array, slack: Array) -> None:
+    """Take how fast the rows move already off how fast they may."""
+    for i in range(slack.size):
+        for k in range(velocity.size):
+            slack[i] -= rows[i, k] * velocity[k]
 
 
 @compiled()
@@ -211,7 +226,10 @@ def joint_forces(
     velocity: Array,
     command: Array,
     step: float,
+    tails: Array,
+    bound: Array,
     tension: Array,
+    friction: Array,
     servo: Array,
     force: Array,
 ) -> None:
@@ -227,7 +245,12 @@ def joint_forces(
         velocity: of sliders and hinges, shape (C + H,), in [m/s] and [rad/s].
         command: of the servos, shape (C,), in [m] or [N].
         step: h in [s].
+        tails: derivatives of the cables' lengths from each place where one rubs to its anchor by
+            the hinges, shape (R, H); no rows where nothing rubs.
+        bound: the largest friction of each place, shape (R,), in [N].
         tension: shape (C,), in [N]; replaced. The old ones are a first guess of which cables pull.
+        friction: by how much the tension before each place exceeds that behind it, shape (R,), in
+            [N]; replaced likewise.
         servo: filled with the servos' forces on the sliders, shape (C,), in [N].
         force: filled with all other forces on sliders and hinges, shape (C + H,), in [N] and [N m]:
             springs, cables, and what makes stiff dampers implicit; not Bullet's own dampers
@@ -245,37 +268,34 @@ def joint_forces(
     if followers.size:
         limited = _first_of_each(rig.leader, limited, cables)
     count = cables + limited.size
-    whole = np.zeros((size + 1 + count + followers.size, size))
+    whole = np.zeros((size + 1 + count + followers.size + bound.size, size))
     rows = whole[size + 1 :, 6:]
     excess = cable_rows(rig, joints[:cables], hinges, rows)
     slack, pull = np.empty(count), np.zeros(count)
     _cable_slack(rig, plant, copy, excess, step, slack)
     _limit_rows(rig, limited, joints, step, rows[cables:], slack[cables:])
-    for i in range(count):
-        for k in range(velocity.size):
-            slack[i] -= rows[i, k] * velocity[k]
+    _take_off(rows[:count], velocity, slack)
     slack /= step
-    apart = _linkage_rows(rig, followers, hinges, velocity[cables:], step, rows[count:, cables:])
+    rates, linked = velocity[cables:], rows[count : count + followers.size, cables:]
+    apart = _linkage_rows(rig, followers, hinges, rates, step, linked)
+    rows[count + followers.size :, cables:] = tails
 
     stiff = step * stiff_dampers(rig, plant, copy, hinges, step)
     whole[size] = -bias
     whole[size, 6:] += force - plant.damping[copy] * velocity
     whole[size, 6 : 6 + cables] += servo
-    _fill_mass(whole, mass, stiff)
+    fill_mass(whole, mass, stiff)
     pushes = rows.copy()
     inverse = factor(whole)
-    white, rest = whole[size + 1 : size + 1 + count], whole[size]
     pull[:cables] = tension
-    matrix = white @ white.T
-    for c in range(cables):
-        matrix[c, c] += plant.cable_compliance[copy, c] / step**2
-    slack -= white @ rest
-    held = whole[size + 1 + count :]
-    _solve(rig, limited, matrix, white, held, slack, apart, rest, pull, pushes, force)
+    softness = plant.cable_compliance[copy] / step**2
+    if bound.size:
+        room = np.concatenate((slack, apart, -(tails @ rates) / step))
+        _solve_rubbing(rig, limited, softness, whole, room, bound, pull, pushes, force, friction)
+    else:
+        _solve(rig, limited, softness, whole, slack, apart, pull, pushes, force)
     tension[:] = pull[:cables]
     for c in range(cables):
         force -= tension[c] * pushes[c]
     if stiff.any():
-        rest -= pull @ white
-        solve_transposed(whole, inverse, rest)
-        force -= stiff * rest[6:]
+        damp(whole, inverse, pull, stiff, force)

@@ -59,7 +59,7 @@ class PybulletSimulation(Simulation):
     engine: ClassVar[str] = "pybullet"
     title: ClassVar[str] = "PyBullet"
     capabilities: ClassVar[frozenset[Capability]] = frozenset(
-        {"render", "elastic_cables", "servo_kinds"}
+        {"render", "elastic_cables", "servo_kinds", "guide_friction"}
     )
     copy_memory = 4e6
     options_type: ClassVar[type[EngineOptions]] = PybulletOptions
@@ -114,8 +114,8 @@ class PybulletSimulation(Simulation):
         self._world.reset(ids.tolist())
 
     def _place(self, ids: NDArray[np.int64], position: Array, velocity: Array) -> None:
-        tension = np.zeros((len(ids), self.robot.num_cables))
-        self._world.place(ids, np.zeros(len(ids)), position, velocity, tension)
+        pulls = np.zeros((len(ids), self._world.pulls.shape[1]))
+        self._world.place(ids, np.zeros(len(ids)), position, velocity, pulls)
 
     def _step(self, command: Array, substeps: int) -> None:
         lost = self._world.step(command, substeps)
@@ -135,7 +135,7 @@ class PybulletSimulation(Simulation):
             base_velocity=world.velocity[:, :3].copy(),
             base_angular_velocity=world.velocity[:, 3:6].copy(),
             cable_travel=world.position[:, 7:joints].copy(),
-            cable_tension=world.tension.copy(),
+            cable_tension=world.pulls[:, : self.robot.num_cables].copy(),
             joint_angles=world.position[:, joints:].copy(),
             joint_rates=world.velocity[:, joints - 1 :].copy(),
         )
@@ -148,14 +148,15 @@ class PybulletSimulation(Simulation):
             time=world.time.copy(),
             position=world.position.copy(),
             velocity=world.velocity.copy(),
-            private=world.tension.copy(),
+            private=world.pulls.copy(),
         )
 
     def _set_snapshot(self, snapshot: Snapshot) -> None:
         own = snapshot.engine == self.engine
-        tension = snapshot.private if own else np.zeros((self.num, self.robot.num_cables))
-        every = np.arange(self.num)
-        self._world.place(every, snapshot.time, snapshot.position, snapshot.velocity, tension)
+        pulls, every = np.zeros(self._world.pulls.shape), np.arange(self.num)
+        if own:  # older ones have tensions only
+            pulls[:, : snapshot.private.shape[1]] = snapshot.private
+        self._world.place(every, snapshot.time, snapshot.position, snapshot.velocity, pulls)
 
     def _dynamics(self, ids: NDArray[np.int64]) -> Dynamics:
         plant = Plant(*(rows[ids] for rows in self.plant))

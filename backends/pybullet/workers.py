@@ -27,6 +27,7 @@ from backends.pybullet.options import PybulletOptions
 from backends.pybullet.world import Divergence, World
 from cdcsr.errors import CdcsrError
 from cdcsr.robot.description import Robot
+from cdcsr.simulation.capstan import Capstan
 from cdcsr.simulation.loads import Loads
 from cdcsr.simulation.plant import Plant
 
@@ -60,7 +61,7 @@ class Pool:
         self.time = np.zeros(num)
         self.position = np.zeros((num, 7 + robot.num_cables + robot.num_hinges))
         self.velocity = np.zeros((num, robot.num_coordinates))
-        self.tension = np.zeros((num, robot.num_cables))
+        self.pulls = np.zeros((num, robot.num_cables + len(Capstan(robot).cable)))
         self.tip = np.zeros((num, 6))
         self._ask([(robot, share.stop - share.start, options) for share in self._shares])
 
@@ -90,10 +91,10 @@ class Pool:
         time: Array,
         position: Array,
         velocity: Array,
-        tension: Array,
+        pulls: Array,
     ) -> None:
         """Put copies `ids` into a state; see :meth:`World.place`."""
-        rows, inside = (time, position, velocity, tension), self._inside(ids)
+        rows, inside = (time, position, velocity, pulls), self._inside(ids)
         self._call(
             "place",
             [
@@ -138,7 +139,7 @@ class Pool:
             for index, share in enumerate(self._shares):
                 result, state = pickle.load(_pipe(self.processes[index].stdout))
                 self.time[share], self.position[share] = state[:2]
-                self.velocity[share], self.tension[share], self.tip[share] = state[2:]
+                self.velocity[share], self.pulls[share], self.tip[share] = state[2:]
                 results.append(result)
         except (EOFError, OSError, pickle.UnpicklingError):
             worker, share = self.processes[index], self._shares[index]
@@ -164,7 +165,7 @@ def serve() -> None:
     result: list[Divergence] = []
     try:
         while True:
-            state = (world.time, world.position, world.velocity, world.tension, world.tip)
+            state = (world.time, world.position, world.velocity, world.pulls, world.tip)
             _send(answers, (result, state))
             method, *arguments = pickle.load(requests)
             result = getattr(world, method)(*arguments) or []

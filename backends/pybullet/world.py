@@ -19,6 +19,7 @@ from backends.pybullet.rig import rig
 from cdcsr.compiled import compiled
 from cdcsr.robot.description import Robot
 from cdcsr.robot.stability import highest_speeds, too_fast
+from cdcsr.simulation.capstan import Capstan
 from cdcsr.simulation.loads import Loads
 from cdcsr.simulation.plant import Parameters, Plant
 from cdcsr.simulation.rotations import rotation_matrix
@@ -47,7 +48,8 @@ class World:
         time: shape (num,), in [s].
         position: as in a Snapshot, shape (num, 7 + C + H).
         velocity: shape (num, nv).
-        tension: of the last step of Bullet, shape (num, C), in [N].
+        pulls: of the last step of Bullet, in [N]: the cables' tensions, then the friction of each
+            place of :class:`Capstan`, zero where nothing rubs; shape (num, C + R).
     """
 
     def __init__(self, robot: Robot, num: int, options: PybulletOptions) -> None:
@@ -67,7 +69,9 @@ class World:
         self.time = np.zeros(num)
         self.position = np.zeros((num, 7 + robot.num_cables + robot.num_hinges))
         self.velocity = np.zeros((num, robot.num_coordinates))
-        self.tension = np.zeros((num, robot.num_cables))
+        self._capstan, self._rubs = Capstan(robot), bool(self._plant.guide_friction.any())
+        self._tails, self._bound = np.zeros((0, robot.num_hinges)), np.zeros(0)
+        self.pulls = np.zeros((num, robot.num_cables + len(self._capstan.cable)))
         self._force = np.zeros(robot.num_cables + robot.num_hinges)
         self._servo = np.zeros(robot.num_cables)
         self._fastest = highest_speeds(robot)
@@ -89,6 +93,10 @@ class World:
         for row, copy in enumerate(ids.tolist()):
             self._bodies[copy].set_plant(plant, row)
         self._asked = self._equation.bodies(self._plant)
+        self._rubs = bool(self._plant.guide_friction.any())
+        if not self._rubs:
+            self._tails, self._bound = self._tails[:0], self._bound[:0]
+            self.pulls[:, len(self._servo) :] = 0.0
 
     def set_loads(self, loads: Loads) -> None:
         """Let loads act on all copies from the next step on."""
@@ -103,7 +111,7 @@ class World:
             self.position[copy, :7] = self._start
             self.position[copy, 7:] = *travel[copy], *self._rig.rest
             self.velocity[copy] = 0.0
-            self.tension[copy] = 0.0
+            self.pulls[copy] = 0.0
             self._write(copy)
 
     def place(
@@ -112,10 +120,10 @@ class World:
         time: Array,
         position: Array,
         velocity: Array,
-        tension: Array,
+        pulls: Array,
     ) -> None:
         """Put copies `ids` into a state: rows of the attributes."""
-        self.time[ids], self.tension[ids] = time, tension
+        self.time[ids], self.pulls[ids] = time, pulls
         self.position[ids], self.velocity[ids] = position, velocity
         if self._fixed:
             self.position[ids, :7], self.velocity[ids, :6] = self._start, 0.0
@@ -177,6 +185,9 @@ class World:
         if load is not None:
             turn = rotation_matrix(place[3:7]).T
             bias = bias - np.concatenate([turn @ load[3:6], turn @ load[:3], load[6:]])
+        cables = len(command)
+        if self._rubs:
+            self._bound_friction(copy)
         joint_forces(
             self._rig,
             self._plant,
@@ -187,7 +198,10 @@ class World:
             self.velocity[copy, 6:],
             command,
             self._time_step / self._options.substeps,
-            self.tension[copy],
+            self._tails,
+            self._bound,
+            self.pulls[copy, :cables],
+            self.pulls[copy, cables:],
             self._servo,
             self._force,
         )
@@ -199,6 +213,15 @@ class World:
             self._force += load[6:]
             body.pull_base(place[:3].tolist(), load[:3].tolist(), load[3:6].tolist())
         body.push(self._force.tolist())
+
+    def _bound_friction(self, copy: int) -> None:
+        """Set where a copy's cables rub in the coming step, and how much at most."""
+        cables, capstan, one = len(self._servo), self._capstan, slice(copy, copy + 1)
+        hinges, pulls = self.position[one, 7 + cables :], self.pulls[one]
+        coefficient = self._plant.guide_friction[one]
+        tension, friction = pulls[:, :cables], pulls[:, cables:]
+        self._bound = capstan.bounds(coefficient, hinges, tension, friction)[0]
+        self._tails = capstan.tails(hinges)[0]
 
     def _load(self, copy: int) -> Array:
         """Return the generalized force of the loads on a copy, shape (nv,)."""

@@ -159,6 +159,11 @@ class Robot(Part):
         return tuple(0.0 if each is None else 1 / each for each in stiffness)
 
     @property
+    def guide_friction(self) -> tuple[float, ...]:
+        """The coefficient of friction of each cable in its guides."""
+        return tuple(s.cables.guide_friction for s in self.segments for _ in s.cable_angles)
+
+    @property
     def num_cables(self) -> int:
         return len(self.servos)
 

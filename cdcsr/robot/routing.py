@@ -83,6 +83,8 @@ class Routing(NamedTuple):
     """The guide just above each joint, in the upper link's frame, (C, J, 3), in [m]."""
     chord: Array
     """The distance between these two while the joint is straight, shape (C, J), in [m]."""
+    reach: Array
+    """The length of each link, shape (J,), in [m]."""
     guides: tuple[tuple[Guide, ...], ...]
     """The guides of each cable from the base to its anchor. Where the first joint that a cable
     crosses is not the arm's first, a sheath leads it from the first guide to the second."""
@@ -125,6 +127,7 @@ def routing(robot: Robot) -> Routing:
         low=np.array([run.low for run in runs], dtype=float).reshape(*size, 3),
         high=np.array([run.high for run in runs], dtype=float).reshape(*size, 3),
         chord=np.array([run.chord for run in runs], dtype=float).reshape(size),
+        reach=np.array(links, dtype=float),
         guides=tuple(run.guides for run in runs),
         parallel=all(run.parallel for run in runs),
     )
@@ -262,12 +265,23 @@ def _crossings(route: Routing, hinges: Array) -> tuple[Array, Array]:
 def _any_crossings(route: Routing, hinges: Array) -> tuple[Array, Array]:
     """Return what :func:`crossing` does, at joints of any hinges.
 
-    The upper guide is turned by R = R_1 R_2 R_3. A unit rate of the hinge with the axis a, as it
-    stands in the frame below the joint, moves it by a x R u.
-
     Returns:
         The length at each cable and joint, shape (..., C, J), and its derivative with respect to
         the first, the second and the third hinge of the joint, shape (3, ..., C, J).
+    """
+    turn, axes = _turns(route, hinges)
+    above = np.einsum("...jab,cjb->...cja", turn, route.high)
+    along = above - route.low
+    length = np.linalg.norm(along, axis=-1)
+    moves = [np.cross(axis[..., None, :, :], above) for axis in axes]
+    return length, np.array([(along * move).sum(axis=-1) / length for move in moves])
+
+
+def _turns(route: Routing, hinges: Array) -> tuple[Array, list[Array]]:
+    """Return how the link above each joint is turned from the one below, R = R_1 R_2 R_3, shape
+    (..., J, 3, 3), and the axes of the three hinges in the frame below, shapes (..., J, 3).
+
+    A unit rate of a hinge with the axis a moves a guide at u above the joint by a x R u.
     """
     angles = np.where(route.hinges >= 0, hinges[..., route.hinges], 0.0)
     turn, axes = np.eye(3), []
@@ -275,11 +289,55 @@ def _any_crossings(route: Routing, hinges: Array) -> tuple[Array, Array]:
         axis = np.eye(3)[route.axes[:, slot]]
         axes.append(np.einsum("...ij,...j->...i", turn, axis))
         turn = turn @ _about(axis, angles[..., slot])
-    above = np.einsum("...jab,cjb->...cja", turn, route.high)
-    along = above - route.low
-    length = np.linalg.norm(along, axis=-1)
-    moves = [np.cross(axis[..., None, :, :], above) for axis in axes]
-    return length, np.array([(along * move).sum(axis=-1) / length for move in moves])
+    return turn, axes
+
+
+def turning_angles(route: Routing, hinges: Array) -> Array:
+    """Return by how much every cable changes its direction in the guides of one body before each
+    joint that it crosses, shape (..., C, J), in [rad].
+
+    Before the first joint this is the base's guide, where the cable comes along +z from its slider.
+    A sheath, and what a cable does not cross, have zero.
+
+    Args:
+        route: from :func:`routing`.
+        hinges: hinge angles, shape (..., H), in [rad], root to tip.
+    """
+    turn, _ = _turns(route, hinges)
+    below = np.einsum("...jab,cjb->...cja", turn, route.high) - route.low
+    above = np.einsum("...jba,...cjb->...cja", turn, below)
+    inside = route.low.copy()
+    inside[:, 0] = 0.0, 0.0, 1.0
+    inside[:, 1:] += route.reach[:-1, None] * (0.0, 0.0, 1.0) - route.high[:, :-1]
+    angles = _angle(inside, below)
+    angles[..., 1:] += _angle(above[..., :-1, :], inside[:, 1:])
+    return np.where(rubbing(route), angles, 0.0)
+
+
+def rubbing(route: Routing) -> NDArray[np.bool_]:
+    """Return before which joints each cable passes guides that turn it, shape (C, J)."""
+    joint, first = np.arange(len(route.axes)), route.first[:, None]
+    return (joint < route.joints[:, None]) & (joint >= first + (first > 0))
+
+
+def _angle(one: Array, other: Array) -> Array:
+    """Return the angles between vectors, shape (...), in [rad]."""
+    across = np.linalg.norm(np.cross(one, other), axis=-1)
+    return np.arctan2(across, (one * other).sum(axis=-1))
+
+
+def tail_jacobian(route: Routing, hinges: Array) -> Array:
+    """Return the derivatives of every cable's length from each joint to its anchor, shape
+    (..., C, J, H), in [m/rad].
+
+    Args:
+        route, hinges: as for :func:`turning_angles`.
+    """
+    _, by_hinge = _crossings(route, hinges)
+    joint_of_hinge = np.zeros(by_hinge.shape[-1], int)
+    for joint, numbers in enumerate(route.hinges):
+        joint_of_hinge[numbers[numbers >= 0]] = joint
+    return by_hinge[..., None, :] * (joint_of_hinge >= np.arange(len(route.axes))[:, None])
 
 
 def _about(axis: Array, angle: Array) -> Array:

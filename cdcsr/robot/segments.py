@@ -36,7 +36,7 @@ class Path(Part):
 class Cables(Part):
     """The cables that end at the top of one segment."""
 
-    later = ("axial_stiffness", "paths")
+    later = ("axial_stiffness", "guide_friction", "paths")
     angles_deg: Annotated[tuple[float, ...], Strict(False), Field(min_length=1)]
     """Direction of each cable around z, in degrees from x."""
     paths: Annotated[tuple[Path, ...], Strict(False)] = ()
@@ -49,6 +49,9 @@ class Cables(Part):
     axial_stiffness: Positive | None = None
     """E A of a cable in [N]: it stretches by the tension times its rest length over E A. Without it
     cables do not stretch."""
+    guide_friction: Annotated[float, Field(ge=0, le=2)] = 0.0
+    """Coefficient of Coulomb friction between a cable and its guides; about 0.1 for steel in
+    PTFE."""
 
     @model_validator(mode="before")
     @classmethod

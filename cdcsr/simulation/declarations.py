@@ -11,11 +11,14 @@ from cdcsr.errors import CdcsrError
 from cdcsr.robot.description import Robot
 from cdcsr.simulation.plant import Plant
 
-Capability = Literal["render", "bit_exact", "soft_cables", "elastic_cables", "servo_kinds"]
+Capability = Literal[
+    "render", "bit_exact", "soft_cables", "elastic_cables", "servo_kinds", "guide_friction"
+]
 """An ability that only some engines have. render: it has its own camera. bit_exact: the same
 commands give the same bits, also after a snapshot. soft_cables: cables under tension are longer
 than at rest, by millimetres. elastic_cables: cables can be springs, by their axial stiffness.
-servo_kinds: servos can be of any kind, with a force limit and a pretension."""
+servo_kinds: servos can be of any kind, with a force limit and a pretension. guide_friction: cables
+rub in their guides."""
 
 
 def check_abilities(
@@ -30,6 +33,11 @@ def check_abilities(
         raise CdcsrError(
             f"The engine {engine} has no elastic cables; leave out axial_stiffness and "
             "cable_strain, or choose an engine that has elastic_cables (see `cdcsr engines`)."
+        )
+    if plant.guide_friction.any() and "guide_friction" not in abilities:
+        raise CdcsrError(
+            f"The engine {engine} has no friction in guides; leave out guide_friction, or choose "
+            "an engine that has it (see `cdcsr engines`)."
         )
     plain = all(s.kind == "set-point" and s.pull == s.gain * abs(s.full) for s in robot.servos)
     if not plain and "servo_kinds" not in abilities:

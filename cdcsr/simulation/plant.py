@@ -40,6 +40,8 @@ class Plant(NamedTuple):
     cable_compliance: Array
     """How much longer each cable gets by tension, its rest length over E A, shape (n, C), in [m/N];
     zero if it does not stretch."""
+    guide_friction: Array
+    """Coefficient of friction of each cable in its guides, shape (n, C)."""
 
     @property
     def start_travel(self) -> Array:
@@ -78,6 +80,9 @@ class Parameters:
     cable_strain: ArrayLike = 0.0
     """For each cable, is added to its strain by tension 1 / (E A), in [1/N]; 1e-5 for a steel wire
     of 0.8 mm. May be negative, down to a cable that does not stretch."""
+    guide_friction: ArrayLike = 0.0
+    """For each cable, is added to its coefficient of friction in its guides. May be negative, down
+    to none."""
     command_delay: ArrayLike = 0
     """For each copy: how many time steps pass before a command acts."""
 
@@ -102,13 +107,9 @@ class Parameters:
                 f"its guide; found {offset.min():g} m."
             )
         described = np.array(robot.strain_by_tension, dtype=float)
-        strain = self._values("cable_strain", num, robot.num_cables) + described
-        strain[np.abs(strain) < 1e-12 * described] = 0.0  # the described one taken off, but rounded
-        if not (strain >= 0).all():
-            raise CdcsrError(
-                f"cable_strain must be at least {-described.min():g} 1/N, with which a cable does "
-                f"not stretch; found one of {strain.min():g} 1/N below that."
-            )
+        strain = self._above("cable_strain", num, described, " 1/N, where a cable does not stretch")
+        rough = np.array(robot.guide_friction, dtype=float)
+        rough = self._above("guide_friction", num, rough, ", where nothing rubs")
         length = routing(robot).rest_length if strain.any() else 0.0
         servos = np.array([servo.servo_damping(robot.time_step) for servo in robot.servos])
         stiffness = self._factors("joint_stiffness", num, robot.num_links, zero=True)
@@ -128,6 +129,7 @@ class Parameters:
             servo_gain=self._factors("servo_gain", num, robot.num_cables) * gain,
             rest_length_offset=offset,
             cable_compliance=(length + offset) * strain,
+            guide_friction=rough,
         )
 
     def delay(self, num: int) -> NDArray[np.int64]:
@@ -159,6 +161,17 @@ class Parameters:
         return np.array(
             np.broadcast_to(values[:, None] if values.ndim == 1 else values, (num, parts))
         )
+
+    def _above(self, name: str, num: int, described: Array, meaning: str) -> Array:
+        """Return the sum of a parameter and the described number of each cable, shape (num, C)."""
+        total = self._values(name, num, len(described)) + described
+        total[np.abs(total) < 1e-12 * described] = 0.0  # the described one taken off, but rounded
+        if not (total >= 0).all():
+            raise CdcsrError(
+                f"{name} must be at least {-described.min():g}{meaning}; found one of "
+                f"{total.min():g} below that."
+            )
+        return total
 
     def _factors(self, name: str, num: int, parts: int, zero: bool = False) -> Array:
         """Return a factor for each part of each copy, shape (num, parts)."""

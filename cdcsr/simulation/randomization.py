@@ -27,6 +27,8 @@ REST_LENGTH_OFFSET = 0.02
 """At scale 1 each cable is longer or shorter by up to this, uniform, in [m]."""
 ELASTIC = 2.0
 """At scale 1 the stiffness of elastic cables is multiplied as by a factor of :data:`FACTORS`."""
+ROUGH = 2.0
+"""At scale 1 the friction of cables in their guides is multiplied likewise."""
 COMMAND_DELAY = 4
 """At scale 1 commands are late by 0 to this many time steps, uniform."""
 MAX_SCALE = 5.0
@@ -66,6 +68,9 @@ class Randomization:
         self._strain = np.array(robot.strain_by_tension)
         if self._strain.any():
             self.drawn["cable_strain"] = np.zeros((num, robot.num_cables))
+        self._friction = np.array(robot.guide_friction)
+        if self._friction.any():
+            self.drawn["guide_friction"] = np.zeros((num, robot.num_cables))
 
     def begin(self, simulation: Simulation, ids: NDArray[np.int64]) -> None:
         """Give copies `ids` new plants, before they are reset."""
@@ -93,6 +98,9 @@ class Randomization:
         if self._strain.any():
             exponent = self.rng.uniform(-1, 1, (num, 1)) * self._scale
             drawn["cable_strain"] = (ELASTIC**exponent - 1) * self._strain
+        if self._friction.any():
+            exponent = self.rng.uniform(-1, 1, (num, 1)) * self._scale
+            drawn["guide_friction"] = (ROUGH**exponent - 1) * self._friction
         return drawn
 
 

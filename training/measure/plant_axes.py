@@ -135,6 +135,14 @@ AXES: dict[str, Axis] = {
             lambda robot, level: _with_parameter(robot, "cable_strain", level),
         ),
         Axis(
+            "guide_friction",
+            "what is added to the coefficient of friction of all cables in their guides",
+            "1",
+            (0.01, 0.02, 0.05, 0.1, 0.2, 0.5),
+            (),
+            lambda robot, level: _with_parameter(robot, "guide_friction", level),
+        ),
+        Axis(
             "command_delay",
             "time steps until a command acts",
             "steps",

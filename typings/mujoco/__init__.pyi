@@ -85,6 +85,9 @@ class mjtSolver(_Enum):
     mjSOL_CG: ClassVar[Self]
     mjSOL_NEWTON: ClassVar[Self]
 
+class mjtConstraint(_Enum):
+    mjCNSTR_FRICTION_TENDON: ClassVar[Self]
+
 class mjtStage(_Enum):
     mjSTAGE_NONE: ClassVar[Self]
     mjSTAGE_VEL: ClassVar[Self]
@@ -250,6 +253,9 @@ class MjSpec:
         name: str = ...,
         limited: mjtLimited = ...,
         range: ArrayLike = ...,
+        frictionloss: float = ...,
+        solref_friction: ArrayLike = ...,
+        solimp_friction: ArrayLike = ...,
         solref_limit: ArrayLike = ...,
         solimp_limit: ArrayLike = ...,
         width: float = ...,
@@ -395,6 +401,9 @@ class MjData:
     subtree_com: _Floats
     ten_length: _Floats
     ten_J: _Floats
+    efc_type: _Ints
+    efc_id: _Ints
+    efc_force: _Floats
     def __init__(self, model: MjModel) -> None: ...
     def body(self, name: int | str) -> _NamedInData: ...
     def site(self, name: int | str) -> _NamedInData: ...

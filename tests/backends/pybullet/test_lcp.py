@@ -1,13 +1,15 @@
-"""The solver of linear complementarity problems."""
+"""The solvers of complementarity problems."""
 
 from __future__ import annotations
 
 import itertools
 
 import numpy as np
+from scipy.optimize import lsq_linear
 
 from backends.pybullet.lcp import (
     factor,
+    solve_boxed,
     solve_complementarity,
     solve_transposed,
     solve_with_equalities,
@@ -68,3 +70,25 @@ def test_complementarity_against_trying_every_basis() -> None:
             found = guess.copy()
             solve_complementarity(matrix, vector, found)
             np.testing.assert_allclose(found, solutions[0], rtol=1e-8, atol=1e-9)
+
+
+def test_least_squares_within_bounds_against_scipy() -> None:
+    """With A = L' L and b = -L' y it is the bounded least-squares problem |L x - y|; bounds may be
+    infinite or equal, and the matrix nearly singular."""
+    random = np.random.default_rng(2)
+    for trial in range(60):
+        order = int(random.integers(1, 40))
+        root = np.vstack([random.normal(size=(order // 2, order)), 0.03 * np.eye(order)])
+        aim = random.normal(size=len(root))
+        upper = random.exponential(size=order)
+        lower = np.where(random.random(order) < 0.3, -np.inf, -upper)
+        upper[random.random(order) < 0.2] = np.inf
+        found = random.normal(size=order)
+        solve_boxed(root.T @ root, -root.T @ aim, lower, upper, found)
+        exact = lsq_linear(root, aim, (lower, upper), tol=1e-14, method="bvls", max_iter=1000)
+        assert exact.success
+        np.testing.assert_allclose(found, exact.x, atol=1e-6)
+        if trial == 0:
+            bound = np.full(order, 0.5)
+            solve_boxed(root.T @ root, -root.T @ aim, bound, bound, found)
+            np.testing.assert_array_equal(found, bound)

@@ -15,7 +15,7 @@ from scipy.spatial.transform import Rotation
 
 from backends.contract_suite.states import assert_same, commands_of, random_parameters, straight
 from backends.pybullet.benchmarks import step_cost
-from backends.pybullet.cables import stiff_dampers
+from backends.pybullet.dampers import stiff_dampers
 from backends.pybullet.equation import Equation
 from backends.pybullet.options import PybulletOptions, PybulletStockOptions
 from backends.pybullet.rig import rig
