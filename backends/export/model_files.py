@@ -14,7 +14,7 @@ from typing import TypeVar
 from trimesh import Trimesh
 from trimesh.exchange.stl import export_stl
 
-from cdcsr.files import write_bytes, write_text
+from cdcsr.files import note, write_bytes, write_text
 from cdcsr.robot.description import Base, Robot
 from cdcsr.robot.meshes import export_glb, link_parts, visual_meshes
 from cdcsr.robot.parts import Link
@@ -44,6 +44,8 @@ def write_model(
         backends: the engines.
         debris: what stands in the scene beside the robot, in the world frame, in [m].
     """
+    if any(robot.guide_friction):
+        note("The model files leave out the friction of cables in their guides.")
     meshes = {}
     for part, mesh in visual_meshes(robot).items():
         meshes[part] = f"meshes/{part}.stl"

@@ -18,6 +18,7 @@ from cdcsr.robot.description import Robot
 from cdcsr.robot.ruler import ruler
 from cdcsr.robot.stability import highest_speeds, too_fast
 from cdcsr.simulation.cameras import HEIGHT, WIDTH, camera_angles
+from cdcsr.simulation.capstan import Capstan
 from cdcsr.simulation.contract import (
     Array,
     Dynamics,
@@ -211,8 +212,10 @@ class BatchSimulation(Simulation):
             self.batch.state[:] = snapshot.private[:, :size]
             bounds = size + self.robot.num_cables
             self._cables.tension[:] = snapshot.private[:, size:bounds]
+            rest = snapshot.private[:, bounds:]
+            if rest.shape[1] not in (0, len(Capstan(self.robot).cable)):
+                raise ValueError(f"its private part has {rest.shape[1]} numbers too many")
             if self._cables.friction is not None:
-                rest = snapshot.private[:, bounds:]
                 self._cables.friction.bound[:] = rest if rest.size else 0
         else:
             self._place(np.arange(self.num), snapshot.position, snapshot.velocity)

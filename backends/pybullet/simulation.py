@@ -154,7 +154,13 @@ class PybulletSimulation(Simulation):
     def _set_snapshot(self, snapshot: Snapshot) -> None:
         own = snapshot.engine == self.engine
         pulls, every = np.zeros(self._world.pulls.shape), np.arange(self.num)
-        if own:  # older ones have tensions only
+        if own:
+            width = snapshot.private.shape[1]
+            if width not in (
+                self.robot.num_cables,
+                pulls.shape[1],
+            ):  # older ones have tensions only
+                raise ValueError(f"its private part has {width} numbers for each copy")
             pulls[:, : snapshot.private.shape[1]] = snapshot.private
         self._world.place(every, snapshot.time, snapshot.position, snapshot.velocity, pulls)
 

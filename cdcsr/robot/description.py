@@ -42,11 +42,12 @@ from cdcsr.robot.parts import (
     Part,
     Positive,
     Vector,
+    carrying,
     joined,
 )
 from cdcsr.robot.scale import Scale
 from cdcsr.robot.section_rules import errors_between_sections
-from cdcsr.robot.sections import Base, Constraint, MujocoOptions, Workspace
+from cdcsr.robot.sections import Base, Constraint, MujocoOptions, Payload, Workspace
 from cdcsr.robot.segments import Segment
 from cdcsr.robot.servo import Servo
 from cdcsr.robot.toml_errors import describe_all, report_again, without_echoes
@@ -55,7 +56,7 @@ from cdcsr.robot.toml_errors import describe_all, report_again, without_echoes
 class Robot(Part):
     """The description of a robot; :func:`load_robot` loads one."""
 
-    later = ("gravity", "scale")
+    later = ("gravity", "payload", "scale")
     name: Annotated[str, Field(pattern=r"^[a-z][a-z0-9-]*$", max_length=64)]
     """Lower-case letters, digits and hyphens."""
     time_step: Positive
@@ -66,6 +67,8 @@ class Robot(Part):
     constraint: Constraint
     workspace: Workspace
     segments: Annotated[tuple[Segment, ...], Strict(False), Field(min_length=1)]
+    payload: Payload | None = None
+    """The tip carries nothing without it."""
     mujoco: MujocoOptions = MujocoOptions()
     scale: Scale = Scale()
     """Numbers of the tasks; by default they follow from the arm's length and pace."""
@@ -91,13 +94,17 @@ class Robot(Part):
 
     @property
     def links(self) -> tuple[tuple[Link, Joint], ...]:
-        """All links with their joints, from the base to the tip."""
+        """All links with their joints, from the base to the tip; the last with the payload."""
         chain: list[tuple[Link, Joint]] = []
         for segment in self.segments:
             if chain and segment.stub is not None:
                 link, joint = chain[-1]
                 chain[-1] = joined(link, segment.stub), joint
             chain += segment.pairs
+        if self.payload is not None:
+            (link, joint), load = chain[-1], self.payload
+            height = link.length + load.offset
+            chain[-1] = carrying(link, load.mass, load.inertia, height), joint
         return tuple(chain)
 
     @property

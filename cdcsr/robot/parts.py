@@ -203,16 +203,23 @@ def _check_rest(hinge: Hinge) -> None:
 
 def joined(lower: Link, upper: Link) -> Link:
     """Return two pieces, one on top of the other, as one rigid link."""
-    mass = lower.mass + upper.mass
-    heights = lower.center_of_mass, lower.length + upper.center_of_mass
-    center = (lower.mass * heights[0] + upper.mass * heights[1]) / mass
-    shift = lower.mass * (heights[0] - center) ** 2 + upper.mass * (heights[1] - center) ** 2
-    x, y, z = (a + b for a, b in zip(lower.inertia, upper.inertia, strict=True))
-    return Link(
-        length=lower.length + upper.length,
-        radius=max(lower.radius, upper.radius),
-        mass=mass,
-        inertia=(x + shift, y + shift, z),
-        center=center,
-        mesh=lower.mesh,
-    )
+    both = carrying(lower, upper.mass, upper.inertia, lower.length + upper.center_of_mass)
+    radius = max(lower.radius, upper.radius)
+    return both.model_copy(update={"length": lower.length + upper.length, "radius": radius})
+
+
+def carrying(link: Link, mass: float, inertia: tuple[float, float, float], height: float) -> Link:
+    """Return a link with a body fixed on its axis.
+
+    Args:
+        link: without the body.
+        mass: of the body, in [kg].
+        inertia: its moments about its own centre of mass, in [kg m^2].
+        height: of that centre above the link's joint, in [m].
+    """
+    total = link.mass + mass
+    center = (link.mass * link.center_of_mass + mass * height) / total
+    shift = link.mass * (link.center_of_mass - center) ** 2 + mass * (height - center) ** 2
+    x, y, z = (a + b for a, b in zip(link.inertia, inertia, strict=True))
+    changes = {"mass": total, "inertia": (x + shift, y + shift, z), "center": center}
+    return link.model_copy(update=changes)

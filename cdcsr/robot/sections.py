@@ -57,6 +57,18 @@ class Workspace(Part):
     """Edge lengths in [m]; zero for a plane or a line."""
 
 
+class Payload(Part):
+    """A body that the tip carries, on the arm's axis."""
+
+    later = ("inertia", "offset")
+    mass: Positive
+    """In [kg]."""
+    inertia: Annotated[tuple[NonNegative, NonNegative, NonNegative], Strict(False)] = (0, 0, 0)
+    """Principal moments about its own centre of mass in [kg m^2]; zero for a point."""
+    offset: NonNegative = 0.0
+    """How far its centre of mass lies beyond the tip, in [m]."""
+
+
 class MujocoOptions(Part):
     """Numbers that only MuJoCo reads."""
 

@@ -82,6 +82,15 @@ def simulation_misuses() -> Iterator[Misuse]:
             ),
         )
     yield (
+        "snapshot.private, longer",
+        lambda sim: sim.set_snapshot(
+            replace(
+                sim.get_snapshot(),
+                private=np.concatenate([sim.get_snapshot().private, np.zeros((NUM, 1))], axis=1),
+            )
+        ),
+    )
+    yield (
         "snapshot of two",
         lambda sim: sim.set_snapshot(make_simulation(ROBOT, sim.engine, 2).get_snapshot()),
     )

@@ -70,6 +70,14 @@ def _segments(draw: st.DrawFn, offset: float) -> dict[str, Any]:
     return {"chain": [links["link"], links["link"] | other], "joint": joint}
 
 
+def _length(segment: dict[str, Any]) -> float:
+    """Return the length of a segment from :func:`_segments`, in [m]."""
+    if "backbone" in segment:
+        return segment["backbone"]["length"]
+    links = segment.get("chain") or [segment["link"]] * segment["links"]
+    return sum(link["length"] for link in links)
+
+
 @st.composite
 def _paths(draw: st.DrawFn, cables: dict[str, Any], last: int) -> dict[str, Any]:
     """Draw the same cables, or the first one or two of them, as cones and helices up to link
@@ -102,6 +110,8 @@ def arms(draw: st.DrawFn) -> Robot:
     offset = max(segment["cables"]["guide_offset"] for segment in segments)
     ours = [draw(_segments(offset)) for _ in segments]
     for segment in segments:
+        cables = segment["cables"]
+        cables["pitch_radius"] = min(cables["pitch_radius"], 1.9 * _length(ours[0]))
         if draw(st.booleans()):
             pull = segment["servo"]["gain"] * segment["servo"]["eta"]
             segment["cables"]["axial_stiffness"] = pull * draw(between(1, 1000))
@@ -121,6 +131,8 @@ def arms(draw: st.DrawFn) -> Robot:
         if "cables" in own and draw(st.booleans()):
             own |= {"cables": draw(_paths(own["cables"], min(1, total - 1)))}
     keys = {"gravity": tuple(draw(between(-10, 10)) for _ in "xyz"), "base": base}
+    if draw(st.booleans()):
+        keys["payload"] = {"mass": draw(between(0.01, 2)), "offset": 0.05}
     return Robot.model_validate(usual | keys | {"segments": ours + tail})
 
 

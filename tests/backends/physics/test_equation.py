@@ -11,7 +11,7 @@ from backends.contract_suite.states import at, moving, running
 from cdcsr.robot.description import Link, Robot
 from cdcsr.robot.routing import cable_jacobian, routing
 from cdcsr.simulation.contract import Array, Snapshot
-from tests.support.physics import described_bodies
+from tests.support.physics import changed, described_bodies
 
 
 def moved(robot: Robot, position: Array, velocity: Array, time: float) -> Snapshot:
@@ -138,3 +138,17 @@ def test_bias_is_the_force_of_free_motion(robot: Robot, engine: str) -> None:
     np.testing.assert_allclose(
         around[2].bias_force[0, :3], change[:3] @ velocity, rtol=1e-6, atol=1e-6
     )
+
+
+def test_a_payload_is_a_body_at_the_tip(robot: Robot, engine: str) -> None:
+    """A point adds m J' J to the mass matrix, where J is the tip's Jacobian."""
+    start = moving(robot, 1)
+    matrices, tip = [], np.zeros(0)
+    for payload in (None, {"mass": 0.7}):
+        with running(changed(robot, payload=payload), engine) as simulation:
+            state = at(simulation.robot, start.position, start.velocity)
+            simulation.set_snapshot(state)
+            equation = simulation.dynamics()
+            matrices.append(equation.mass_matrix[0])
+            tip = equation.tip_jacobian[0]
+    np.testing.assert_allclose(matrices[1] - matrices[0], 0.7 * tip.T @ tip, atol=1e-9)

@@ -293,3 +293,27 @@ def test_a_taper_that_leaves_no_rigid_body_is_refused_when_it_is_read() -> None:
     data["segments"][0]["taper"] = {"radius": 0.8}
     with pytest.raises(ValidationError, match="taper makes an impossible link: no rigid body"):
         Robot.model_validate(data)
+
+
+def test_a_payload_and_the_last_link_turn_as_two_bodies_do() -> None:
+    """Mass, first moment and moments about the joint are sums; other links have no part in it."""
+    robot = load_robot("paper")
+    moments = np.array([0.01, 0.02, 0.03])
+    payload = {"mass": 0.5, "inertia": moments.tolist(), "offset": 0.1}
+    laden = Robot.model_validate(robot.model_dump() | {"payload": payload})
+    bare, last, height = robot.links[-1][0], laden.links[-1][0], robot.links[-1][0].length + 0.1
+    assert laden.links[:-1] == robot.links[:-1]
+    assert last.length == bare.length
+    assert last.mass == pytest.approx(bare.mass + 0.5)
+    first = bare.mass * bare.center_of_mass + 0.5 * height
+    assert last.mass * last.center_of_mass == pytest.approx(first)
+    for axis in range(3):
+        across = axis < 2
+        about = [
+            moments[axis] + across * 0.5 * height**2,
+            bare.inertia[axis] + across * bare.mass * bare.center_of_mass**2,
+        ]
+        found = last.inertia[axis] + across * last.mass * last.center_of_mass**2
+        assert found == pytest.approx(sum(about))
+    assert parse_robot(laden.to_toml()) == laden
+    assert laden.fingerprint != robot.fingerprint
