@@ -84,12 +84,6 @@ class PybulletSimulation(Simulation):
         super().__init__(robot, num, options)
         assert isinstance(self.options, PybulletOptions)
         self._options = self.options
-        plain = all(s.kind == "set-point" and not s.pretension for s in robot.servos)
-        if self._options.servo == "motor" and not plain:
-            raise CdcsrError(
-                f"Bullet's position motors are set-point servos without pretension, and those of "
-                f"{robot.name!r} are not; write {self.engine}:servo=force."
-            )
         if workers is None:
             workers = min(processors(), -(-num // COPIES_PER_WORKER)) if num >= POOL_FROM else 0
             workers = workers if workers > 1 else 0
@@ -99,6 +93,17 @@ class PybulletSimulation(Simulation):
             )
         world = Pool(robot, num, self.options, workers) if workers else None
         self._world = world or World(robot, num, self.options)
+
+    @classmethod
+    def check_robot(cls, robot: Robot, plant: Plant, options: EngineOptions) -> None:
+        super().check_robot(robot, plant, options)
+        assert isinstance(options, PybulletOptions)
+        plain = all(s.kind == "set-point" and not s.pretension for s in robot.servos)
+        if options.servo == "motor" and not plain:
+            raise CdcsrError(
+                f"Bullet's position motors are set-point servos without pretension, and those of "
+                f"{robot.name!r} are not; write {cls.engine}:servo=force."
+            )
 
     @property
     def ideal(self) -> bool:

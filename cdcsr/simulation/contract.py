@@ -79,7 +79,7 @@ class Simulation(ABC):
         self.robot, self.num = robot, num
         self.options = options or self.options_type()
         self.plant: Plant = Parameters().plant(robot, num)
-        check_abilities(self.engine, self.capabilities, robot, self.plant)
+        self.check_robot(robot, self.plant, self.options)
         self.loads = Loads(robot, num)
         self._closed = False
         self._line = DelayLine(num, robot.num_cables)
@@ -312,6 +312,12 @@ class Simulation(ABC):
         """Return the error of copies that diverged, the first at a time in [s]."""
         what += f"; springs are stable below a time_step of {stable_step(self.robot):.2g} s"
         return Diverged(self.engine, copies[0], time, what, copies)
+
+    @classmethod
+    def check_robot(cls, robot: Robot, plant: Plant, options: EngineOptions) -> None:
+        """Raise CdcsrError if the engine lacks an ability that a robot needs."""
+        del options  # engines whose abilities depend on them read them
+        check_abilities(cls.engine, cls.capabilities, robot, plant)
 
     def _check_open(self) -> None:
         if self._closed:

@@ -28,6 +28,7 @@ from cdcsr.robot.description import Robot
 from cdcsr.robot.stability import stable_step
 from cdcsr.simulation.contract import EngineOptions, Simulation
 from cdcsr.simulation.mixed import mixed_engine
+from cdcsr.simulation.plant import Parameters
 
 _GROUP = "cdcsr.backends"
 _FORMER = {"pybullet-former": "PyBullet (former kernel)"}
@@ -106,12 +107,16 @@ def engine_title(name: str) -> str:
     return title + (f" ({options.replace(',', ', ')})" if options else "")
 
 
-def chosen_backends(name: str) -> list[str]:
+def chosen_backends(name: str, robot: Robot) -> list[str]:
     """Return the names of the engines that a user means by a name, or by "all".
+
+    Warns:
+        CdcsrWarning: "all" leaves out an engine, because it cannot be used or lacks an ability that
+            the robot needs.
 
     Raises:
         CdcsrError: no engine of that name is installed, an option is wrong, or the name joins
-            several engines.
+            several engines; or no engine is left.
     """
     installed = backend_names()
     if len(_parts(name)) > 1:
@@ -123,9 +128,24 @@ def chosen_backends(name: str) -> list[str]:
     if bare not in [*installed, "all"]:
         raise CdcsrError(unknown_choice("backend", bare, [*installed, "all"]))
     if name == "all":
-        return working_engines()
+        return _able(working_engines(), robot)
     load_backend(name)  # an error should come before the work
     return [name]
+
+
+def _able(names: list[str], robot: Robot) -> list[str]:
+    """Keep the engines that have the abilities which a robot needs."""
+    able, plant = [], Parameters().plant(robot, 1)
+    for name in names:
+        engine = load_backend(name)
+        try:
+            engine.check_robot(robot, plant, engine.options_type())
+            able.append(name)
+        except CdcsrError as error:
+            if name == names[-1] and not able:
+                raise
+            warnings.warn(f"{error} It is left out.", CdcsrWarning, stacklevel=3)
+    return able
 
 
 def engine_factory(name: str) -> Callable[[Robot, int], Simulation]:

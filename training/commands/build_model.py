@@ -40,7 +40,7 @@ def build_model(
 
     description = load_robot(robot)
     mesh = None if debris is None else read_mesh(debris, "debris")
-    backends = chosen_backends(backend)
+    backends = chosen_backends(backend, description)
     with new_folder(out, "models of a robot", force) as folder:
         write_model(description, folder, backends, mesh)
         summary = summarize(description, backends)

@@ -64,7 +64,7 @@ def report_cells(
     robot = adjusted(robot, task, spaces, *numbers)
     for controller in controllers:
         check_spaces(controller, robot, task, spaces, start)
-    backends, seed = chosen_backends(backend), TEST_SEED if seed is None else seed
+    backends, seed = chosen_backends(backend, robot), TEST_SEED if seed is None else seed
     cells = measure(
         controllers, robot, backends, spaces, episodes, seed, disturbances, task, start, progress
     )

@@ -51,7 +51,7 @@ def parity(
     if plot is not None:
         refuse_unwritable(plot / "figure.png")
     description = load_robot(robot)
-    names = dict.fromkeys([reference, *chosen_backends(backend)])
+    names = dict.fromkeys([reference, *chosen_backends(backend, description)])
     engines = {name: engine_factory(name) for name in names}
     switches = {
         name: {other: engine_factory(other) for other in switched_off(name)} for name in names

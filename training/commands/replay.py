@@ -44,7 +44,8 @@ def replay(
     frame_skip = ruler(description).frame_skip if frame_skip is None else frame_skip
     episodes = demonstrations.load(dataset, description.fingerprint, frame_skip, start="still")
     results = [
-        run(description, name, episodes, frame_skip).as_dict() for name in chosen_backends(backend)
+        run(description, name, episodes, frame_skip).as_dict()
+        for name in chosen_backends(backend, description)
     ]
     print(
         f"{len(episodes)} recorded episodes, replayed without feedback; "

@@ -97,11 +97,8 @@ def _measure(
     from training.measure.plant_sweep import sweep as measure
 
     set_threads()
-    axes, backends, description = (
-        find_axes(axis),
-        chosen_backends(backend),
-        load_robot(robot or "paper"),
-    )
+    axes, description = find_axes(axis), load_robot(robot or "paper")
+    backends = chosen_backends(backend, description)
     controller = find_controller(policy, description)
     description = robot_of(controller, description, robot is not None)
     space, task = space or controller.space or "anchor", task or controller.task

@@ -10,10 +10,11 @@ import pytest
 
 import cdcsr.simulation.engines as engines
 from backends.mujoco.simulation import MujocoSimulation
-from cdcsr.errors import CdcsrError
+from cdcsr.errors import CdcsrError, CdcsrWarning
 from cdcsr.robot.description import Robot
 from cdcsr.simulation.contract import EngineOptions
 from cdcsr.simulation.engines import backend_names, engine_title, processors
+from tests.support.physics import with_parts
 
 
 @pytest.mark.parametrize(
@@ -86,10 +87,11 @@ def test_a_title_names_the_options() -> None:
         ("optionel:pace=1", "Unknown backend 'optionel'. Did you mean 'optional'"),
     ],
 )
-def test_a_wrong_option_is_one_clear_line(name: str, message: str) -> None:
-    for find in (engines.load_backend, lambda text: engines.chosen_backends(text)):
-        with pytest.raises(CdcsrError, match=message):
-            find(name)
+def test_a_wrong_option_is_one_clear_line(name: str, message: str, paper: Robot) -> None:
+    with pytest.raises(CdcsrError, match=message):
+        engines.load_backend(name)
+    with pytest.raises(CdcsrError, match=message):
+        engines.chosen_backends(name, paper)
 
 
 def test_copies_in_several_engines_move_as_each_engine_alone(paper: Robot) -> None:
@@ -127,9 +129,24 @@ def test_a_wrong_name_among_several_is_one_clear_line(name: str, message: str) -
         engines.load_backend(name)
 
 
-def test_commands_that_compare_engines_take_one_at_a_time() -> None:
+def test_commands_that_compare_engines_take_one_at_a_time(paper: Robot) -> None:
     with pytest.raises(CdcsrError, match="Choose one engine, or all"):
-        engines.chosen_backends("mujoco+pybullet")
+        engines.chosen_backends("mujoco+pybullet", paper)
+
+
+def test_all_engines_are_those_that_a_robot_can_move_in(paper: Robot) -> None:
+    """Stock MuJoCo has no friction in guides, and Bullet's motors are set-point servos only."""
+    names = engines.chosen_backends("all", paper)
+    assert {"mujoco", "mujoco-stock", "pybullet", "pybullet-stock"} <= set(names)
+    for part, odd in (
+        ({"cables": {"guide_friction": 0.1}}, "mujoco-stock"),
+        ({"servo": {"pretension": 1.0}}, "pybullet-stock"),
+    ):
+        with pytest.warns(CdcsrWarning, match=rf"{odd}.*It is left out"):
+            found = engines.chosen_backends("all", with_parts(paper, **part))
+        assert found == [name for name in names if name != odd]
+        with pytest.raises(CdcsrError, match=odd):
+            engines.make_simulation(with_parts(paper, **part), odd)
 
 
 def test_the_title_of_several_engines_names_each() -> None:
