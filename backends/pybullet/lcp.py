@@ -63,6 +63,19 @@ def solve_transposed(whole: Array, inverse: Array, vector: Array) -> None:
 
 
 @compiled()
+def _solve_members(matrix: Array, vector: Array, members: NDArray[np.int64]) -> Array:
+    """Return x with A x = -b in the rows and columns `members`, shape (members,)."""
+    block = np.empty((members.size + 1, members.size))
+    for row in range(members.size):
+        block[-1, row] = -vector[members[row]]
+        for k in range(row + 1):
+            block[row, k] = matrix[members[row], members[k]]
+    inverse, solved = factor(block), block[-1]
+    solve_transposed(block, inverse, solved)
+    return solved
+
+
+@compiled()
 def solve_complementarity(matrix: Array, vector: Array, solution: Array) -> None:
     """Solve 0 <= x complementary to A x + b >= 0, which has one solution as A is positive definite.
 
@@ -81,13 +94,7 @@ def solve_complementarity(matrix: Array, vector: Array, solution: Array) -> None
     least, trials = count + 1, _BLOCK_TRIALS
     for _ in range(_MAX_PIVOTS):
         members = np.flatnonzero(basis)
-        block = np.empty((members.size + 1, members.size))
-        for row in range(members.size):
-            block[-1, row] = -vector[members[row]]
-            for k in range(row + 1):
-                block[row, k] = matrix[members[row], members[k]]
-        inverse, solved = factor(block), block[-1]
-        solve_transposed(block, inverse, solved)
+        solved = _solve_members(matrix, vector, members)
         solution[:count] = 0.0
         for row in range(members.size):
             solution[members[row]] = solved[row]
@@ -173,13 +180,7 @@ def solve_boxed(matrix: Array, vector: Array, lower: Array, upper: Array, soluti
         free = np.flatnonzero(~stopped)
         if np.abs(np.where(stopped, 0.0, slope)).max() <= _FLAT * scale:
             break
-        block = np.empty((free.size + 1, free.size))
-        for row in range(free.size):
-            block[-1, row] = -slope[free[row]]
-            for k in range(row + 1):
-                block[row, k] = matrix[free[row], free[k]]
-        inverse, move = factor(block), block[-1]
-        solve_transposed(block, inverse, move)
+        move = _solve_members(matrix, slope, free)
         length = 1.0
         for _ in range(_MOST_HALVINGS):
             change = np.zeros(count)
