@@ -29,13 +29,14 @@ from training.run.checkpoint import Parts, load_state, save_state
 from training.run.metrics import read_metrics
 from training.run.setup import Setup
 from training.run.train_options import Train
+from training.study.lines import read_lines
 from training.study.parquet import read_table
-from training.study.store import StoredRun, pack, read_lines, read_results
+from training.study.store import StoredRun, pack, read_results
 
 ROBOT = load_robot("planar-single")
 _STORE = (
-    *("runs.jsonl", "episodes.parquet", "metrics.parquet", "searches.jsonl", "searches.parquet"),
-    "SHA256SUMS",
+    *("runs.jsonl", "learners.jsonl", "episodes.parquet", "metrics.parquet", "searches.jsonl"),
+    *("searches.parquet", "SHA256SUMS"),
 )
 Load = Callable[[Path], object]
 

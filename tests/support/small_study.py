@@ -52,6 +52,7 @@ def write_run(
         "minutes": 2.0,
         "updates": 1000,
         "environment_steps": 64000,
+        "learner": {"critics": 2, "hidden": [16, 16]},
         "versions": {"numpy": "2.0"},
         "robot": "paper",
         "fingerprint": "f",

@@ -1,11 +1,12 @@
 """Read and write the results of the study.
 
-Finished work is stored in one folder: a record of each run as a line of `runs.jsonl`, and five
-Parquet files: `episodes` (a row an episode of an evaluation), `metrics` (a row a point of a
-learning curve), `following` (a row a sample of target following), `searches` (a row a target of
-`cdcsr search`, whose options are in `searches.jsonl`) and `sweeps` (a row an episode of `cdcsr
-sweep --csv`). Work in progress is a folder for each run, with `run.json`, `metrics.csv` and a CSV
-file for each evaluation; :func:`pack` moves it over.
+Finished work is stored in one folder: a record of each run as a line of `runs.jsonl`, whose
+learner's numbers are a line of `learners.jsonl` (many runs have the same), and five Parquet files:
+`episodes` (a row an episode of an evaluation), `metrics` (a row a point of a learning curve),
+`following` (a row a sample of target following), `searches` (a row a target of `cdcsr search`,
+whose options are in `searches.jsonl`) and `sweeps` (a row an episode of `cdcsr sweep --csv`). Work
+in progress is a folder for each run, with `run.json`, `metrics.csv` and a CSV file for each
+evaluation; :func:`pack` moves it over.
 """
 
 from __future__ import annotations
@@ -23,15 +24,8 @@ from cdcsr.errors import CdcsrError
 from cdcsr.files import finish_together, read_json, write_together
 from cdcsr.reading import MOST_TABLE, is_file, is_folder, read_bytes
 from cdcsr.tables import read_csv_rows
-from training.study.parquet import (
-    DECIMALS,
-    SUMS,
-    Columns,
-    read_summed,
-    read_table,
-    sums,
-    table_bytes,
-)
+from training.study.lines import RECORDS, read_lines, read_records, record_files
+from training.study.parquet import DECIMALS, SUMS, Columns, read_table, sums, table_bytes
 
 Convert = Callable[[str], object]
 _Table = Mapping[str, Sequence[object] | NDArray[np.generic]]
@@ -39,7 +33,7 @@ Files = dict[str, bytes | None]
 """Contents of files by name; None for a file that is not there."""
 _KINDS = "*.parquet", "*.jsonl"
 
-RECORDS, RECORD, SHIPPED = "runs.jsonl", "run.json", "shipped.jsonl"
+RECORD, SHIPPED = "run.json", "shipped.jsonl"
 METRICS, FOLLOW = "metrics", "follow"
 EPISODE_KINDS: dict[str, Convert] = {
     "backend": str,
@@ -107,9 +101,8 @@ def read_store(folder: Path) -> dict[str, StoredRun]:
     path = folder / RECORDS
     if not is_file(path):
         return {}
-    runs = {
-        str(record.pop("name")): StoredRun(record, source=str(path)) for record in read_lines(path)
-    }
+    records = read_records(folder)
+    runs = {name: StoredRun(record, source=str(path)) for name, record in records.items()}
     wanted = ("run", "evaluation", *EPISODE_KINDS)
     for key, part in _split(folder / "episodes.parquet", wanted):
         _of_run(runs, key[0], folder).evaluations[key[1]] = part
@@ -214,9 +207,7 @@ def _store(runs: Mapping[str, StoredRun]) -> Files:
         ),
     ):
         files[f"{file}.parquet"] = table_bytes(parts)
-    lines = [json.dumps({"name": name, **runs[name].record}) for name in names]
-    files[RECORDS] = ("\n".join(lines) + "\n").encode()
-    return files
+    return files | record_files({name: runs[name].record for name in names})
 
 
 def _with_all_columns(parts: Sequence[_Table]) -> list[_Table]:
@@ -229,21 +220,6 @@ def _with_all_columns(parts: Sequence[_Table]) -> list[_Table]:
 
 def _of(name: str, columns: Columns, key: str = "run") -> _Table:
     return {key: [name] * len(next(iter(columns.values()))), **columns}
-
-
-def read_lines(path: Path) -> list[dict[str, object]]:
-    """Return the JSON objects with a name in the lines of a file.
-
-    Raises:
-        CdcsrError: the file is damaged.
-    """
-    try:
-        records = [json.loads(line) for line in read_summed(path).decode().splitlines()]
-    except (ValueError, RecursionError) as error:
-        raise CdcsrError(f"{path} is damaged ({error}); restore it from git.") from None
-    if not all(isinstance(record, dict) and "name" in record for record in records):
-        raise CdcsrError(f"{path} is damaged (a line has no name); restore it from git.")
-    return records
 
 
 def _of_run(runs: Mapping[str, StoredRun], name: str, folder: Path) -> StoredRun:

@@ -10,12 +10,13 @@ from hashlib import sha256
 from pathlib import Path
 
 import numpy as np
+import pyarrow.parquet as pq
 import pytest
 
 from cdcsr.errors import CdcsrError
 from tests.support.forked import Fault, forked
 from tests.support.small_study import HEAD, nominal, write_csv, write_run
-from training.study.parquet import SUMS, read_table
+from training.study.parquet import SUMS, read_table, table_bytes
 from training.study.store import pack, read_results, write_store
 
 FOLLOW = ("backend", "motion", "episode", "step", "tip_error")
@@ -77,6 +78,29 @@ def test_packing_adds_to_the_same_policy_and_replaces_another(work: Path, tmp_pa
     assert read_table(store / "sweeps.parquet")["name"].tolist() == ["policy"] * 3
 
 
+def test_equal_numbers_of_learners_are_stored_once(work: Path, tmp_path: Path) -> None:
+    write_run(work, "three", {"nominal": [nominal("1")]})
+    path = work / "three/run.json"
+    path.write_text(json.dumps({**json.loads(path.read_text()), "learner": {"critics": 5}}))
+    store = tmp_path / "store"
+    pack(work, store)
+    lines = [json.loads(line) for line in (store / "learners.jsonl").read_text().splitlines()]
+    assert sorted(line["critics"] for line in lines) == [2, 5]
+    critics = {name: run.record["learner"]["critics"] for name, run in read_results(store).items()}  # type: ignore[index]
+    assert critics == {"one": 2, "two": 2, "three": 5}
+
+
+def test_distances_are_decimal_numbers_of_four_bytes_or_plain_ones(tmp_path: Path) -> None:
+    for number, distance in enumerate(([0.029344, -1.5], [12_345.678904, 0.1])):
+        path = tmp_path / f"{number}.parquet"
+        data = table_bytes([{"distance": np.array(distance)}])
+        assert data is not None
+        path.write_bytes(data)
+        assert read_table(path)["distance"].tolist() == np.round(distance, 5).tolist()
+        about = pq.ParquetFile(path).metadata.row_group(0).column(0)
+        assert about.physical_type == ("INT32", "DOUBLE")[number]
+
+
 @pytest.mark.parametrize(
     ("file", "content", "message"),
     [
@@ -84,6 +108,7 @@ def test_packing_adds_to_the_same_policy_and_replaces_another(work: Path, tmp_pa
         ("runs.jsonl", b"{", "runs.jsonl is damaged"),
         ("runs.jsonl", b"[]\n", "a line has no name"),
         ("runs.jsonl", b'{"name": "two"}\n', "lacks the run one"),
+        ("learners.jsonl", b"", "learners.jsonl lacks the learner"),
     ],
 )
 def test_damage_is_one_clear_line(

@@ -16,7 +16,8 @@ from training.config.seeds import TEST_SEED
 from training.measure.evaluation import evaluate
 from training.policy import Policy, load_policy, shipped_policies
 from training.study.execute.jobs import commit
-from training.study.store import SHIPPED, read_lines, write_files
+from training.study.lines import read_lines
+from training.study.store import SHIPPED, write_files
 
 SCRIPTED = ("jacobian", "nearest")
 SOFTNESS = ("mujoco-stock:softness=description", "mujoco-stock:integrator=RK4")

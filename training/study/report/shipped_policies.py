@@ -12,8 +12,9 @@ from cdcsr.files import write_text
 from cdcsr.simulation.engines import backend_names, engine_title
 from cdcsr.tables import markdown
 from training.measure.statistics import wilson
+from training.study.lines import read_lines
 from training.study.report.cells import Table
-from training.study.store import SHIPPED, read_lines
+from training.study.store import SHIPPED
 
 _TABLE = re.compile(r"(?:^\|.*\n)+", re.MULTILINE)
 

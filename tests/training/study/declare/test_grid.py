@@ -13,7 +13,7 @@ from training.run.train_options import train_options
 from training.study.declare.budgets import BUDGETS, Budget
 from training.study.declare.grid import EXPERIMENTS, collect, expected
 from training.study.execute.jobs import Job
-from training.study.store import read_lines
+from training.study.lines import read_lines
 
 RECORDS = Path(__file__).parents[4] / "results" / "runs.jsonl"
 RETIRED = ("step_cost", "final_learning_rate", "scaled_values", "target_choice", "keep_successes")

@@ -12,9 +12,10 @@ from cdcsr.simulation.engines import backend_names
 from training.policy import shipped_policies
 from training.study.execute import shipped as measured
 from training.study.execute.shipped import Place, measure_shipped
+from training.study.lines import read_lines
 from training.study.parquet import SUMS, sums
 from training.study.report.shipped_policies import shipped, write_card
-from training.study.store import SHIPPED, read_lines
+from training.study.store import SHIPPED
 
 ROOT = Path(__file__).parents[4]
 
