@@ -19,7 +19,7 @@ from cdcsr.tasks.task import Task
 
 Array = NDArray[np.float64]
 
-_DRAWN, _MOST_SOLVED, _MOST_FAR = 2_000, 0.01, 0.1
+_DRAWN, _MOST = 2_000, 0.01
 
 
 def adjusted(
@@ -77,27 +77,27 @@ def check_targets(robot: Robot, task: Task, space: Space, bent: bool = False) ->
         bent: whether episodes begin with a bent arm. Then only the reach is checked.
 
     Raises:
-        CdcsrError: more than 1 % of the targets are reached at once, or more than 10 % are out of
+        CdcsrError: more than 1 % of the targets are reached at once, or more than 1 % are out of
             reach.
     """
     targets = space.sample(np.random.default_rng(0), _DRAWN)
     joint, tip = at_start(robot, [0.0, 0.0, robot.first_joint]), tip_at_start(robot)
     solved = float((np.linalg.norm(targets - tip, axis=1) <= task.threshold).mean())
-    if solved > _MOST_SOLVED and not bent:
+    if solved > _MOST and not bent:
         raise CdcsrError(
-            f"{solved:.0%} of the targets in the space {space.name!r} lie within the threshold of "
+            f"{solved:.1%} of the targets in the space {space.name!r} lie within the threshold of "
             f"{task.threshold:g} m of the tip at the start, at {_place(tip)}: the task "
             f"{task.name!r} is solved there before anything is done. Move the workspace of "
             f"{robot.name!r} away from the tip, or take a smaller threshold or radius."
         )
     reach = robot.top + robot.arm_length - robot.first_joint
     far = float((np.linalg.norm(targets - joint, axis=1) > reach + task.threshold).mean())
-    if far > _MOST_FAR:
+    if far > _MOST:
         raise CdcsrError(
-            f"{far:.0%} of the targets in the space {space.name!r} are out of reach: they lie more "
+            f"{far:.1%} of the targets in the space {space.name!r} are out of reach: they lie more "
             f"than the {reach:g} m that the arm of {robot.name!r} is long, and the threshold of "
-            f"{task.threshold:g} m, from its first joint, at {_place(joint)}. Move or shrink the "
-            "robot's workspace."
+            f"{task.threshold:g} m, from its first joint, at {_place(joint)}. At most "
+            f"{_MOST:.0%} may be: move or shrink the robot's workspace, or take a smaller radius."
         )
 
 
