@@ -14,6 +14,7 @@ from cdcsr.errors import CdcsrError
 from cdcsr.files import read_json, write_json
 from cdcsr.robot.description import Robot
 from cdcsr.robot.poses import tip_at_start
+from cdcsr.robot.ruler import ruler
 from cdcsr.tasks.catalogue import make_task
 from cdcsr.tasks.workspace_map import Workspace, cells_between
 from controllers.jacobian import JacobianController
@@ -164,7 +165,7 @@ def draw_workspace(workspace: Workspace, robot: Robot, path: Path) -> None:
                 aspect="equal",
                 extent=(low[across], high[across], low[up], high[up]),
             )
-            margin = 0.1
+            margin = 0.1 * ruler(robot).size
             if up == 2:
                 ax.plot([0, 0], [robot.top, robot.top + robot.arm_length], color="black", lw=2)
             ax.set_xlim(low[across] - margin, high[across] + margin)

@@ -8,11 +8,10 @@ from typing import TypedDict
 
 import numpy as np
 
-from backends.parity.open_loop import accurate_step
+from backends.parity.open_loop import accuracy, accurate_step
 from cdcsr.robot.description import Robot
 from cdcsr.robot.poses import tip_at_start
 from cdcsr.robot.routing import routing
-from cdcsr.robot.ruler import ruler
 from cdcsr.robot.stability import stable_step
 from cdcsr.simulation.contract import Array
 from cdcsr.simulation.engines import engine_factory, make_simulation
@@ -71,7 +70,7 @@ class Summary(TypedDict):
 
 def summarize(robot: Robot, backends: Sequence[str]) -> Summary:
     """Summarize a robot, and compare its mass matrix in some engines."""
-    accuracy = ruler(robot).threshold / 10
+    error = accuracy(robot)
     route, top = routing(robot), robot.top + robot.arm_length
     segments = [s for s, segment in enumerate(robot.segments) for _ in segment.cable_angles]
     return {
@@ -90,9 +89,9 @@ def summarize(robot: Robot, backends: Sequence[str]) -> Summary:
         "backends": list(backends),
         "time_step": robot.time_step,
         "stable_step": stable_step(robot),
-        "accuracy": accuracy,
+        "accuracy": error,
         "accurate_step": {
-            name: accurate_step(robot, engine_factory(name), accuracy) for name in backends
+            name: accurate_step(robot, engine_factory(name), error) for name in backends
         },
         "mass_matrix_difference": _mass_matrix_differences(robot, backends),
     }

@@ -25,6 +25,7 @@ from backends.parity.checks import Check, Engines, reference_of
 from backends.parity.trajectories import DEMONSTRATOR, Commands, random_commands
 from cdcsr.errors import Diverged
 from cdcsr.robot.description import Robot
+from cdcsr.robot.ruler import ruler
 from cdcsr.simulation.contract import Array, Simulation
 
 REFINEMENTS = (1, 2, 4, 8)
@@ -224,6 +225,12 @@ def open_loop(
         switches=moved,
         arm_length=robot.arm_length,
     )
+
+
+def accuracy(robot: Robot) -> float:
+    """Return an error of the tip that hardly matters to a task, in [m]: a tenth of the robot's own
+    threshold."""
+    return ruler(robot).threshold / 10
 
 
 def accurate_step(

@@ -11,14 +11,10 @@ from tqdm import tqdm
 from backends.parity.checks import Check, Engines
 from backends.parity.one_state import one_state
 from backends.parity.one_step import OneStep, one_step
-from backends.parity.open_loop import REFINEMENTS, OpenLoop, open_loop
+from backends.parity.open_loop import REFINEMENTS, OpenLoop, accuracy, open_loop
 from backends.parity.trajectories import Commands
 from cdcsr.robot.description import Robot
 from cdcsr.robot.stability import stable_step
-from cdcsr.tasks.task import Task
-
-ACCURATE = Task.threshold / 10
-"""An error of the tip that hardly matters to a task, in [m]."""
 
 
 @dataclass(frozen=True)
@@ -103,7 +99,7 @@ def show(parity: Parity) -> str:
     for part in parity.one_step:
         lines += ["", *_show_one_step(part)]
     for part in parity.open_loop:
-        lines += ["", *_show_open_loop(part)]
+        lines += ["", *_show_open_loop(part, accuracy(robot))]
     count, failed = len(parity.checks), parity.failed
     verdict = f"first failure: {failed[0]}" if failed else "all within tolerance"
     return "\n".join([*lines, "", f"{count - len(failed)} of {count} checks hold; {verdict}"])
@@ -121,7 +117,7 @@ def _show_one_step(part: OneStep) -> list[str]:
     return lines + [_line(check) for check in part.checks() if not check.passed]
 
 
-def _show_open_loop(part: OpenLoop) -> list[str]:
+def _show_open_loop(part: OpenLoop, error: float) -> list[str]:
     episodes, engines = part.noise.shape[1], list(part.tips)
 
     def row(name: str, values: Iterable[float], digits: str) -> str:
@@ -134,9 +130,9 @@ def _show_open_loop(part: OpenLoop) -> list[str]:
     for engine in engines:
         errors = row(f"{engine}, from its limit", part.errors(engine), "4f")
         lines.append(f"{errors}    order {part.order(engine):.2f}")
-    steps = [part.accurate_step(engine, ACCURATE) for engine in engines]
+    steps = [part.accurate_step(engine, error) for engine in engines]
     named = ", ".join(f"{engine} {1e3 * h:.2g}" for engine, h in zip(engines, steps, strict=True))
-    lines.append(f"     steps in [ms] with an error of {1e3 * ACCURATE:g} mm: {named}")
+    lines.append(f"     steps in [ms] with an error of {1e3 * error:g} mm: {named}")
     for engine in engines[1:]:
         lines.append(row(f"{engine} - {part.reference}", part.mean_distance(engine), "5f"))
     for engine in engines[1:]:

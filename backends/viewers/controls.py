@@ -10,9 +10,9 @@ import numpy as np
 import viser  # pyright: ignore[reportMissingImports] - it is an extra
 from numpy.typing import NDArray
 
-from backends.viewers.disturbing import DIRECTIONS, NOISES
+from backends.viewers.disturbing import DIRECTIONS
 from backends.viewers.driving import HAND
-from backends.viewers.session import FASTEST, PLANT, SLOWEST, Session
+from backends.viewers.session import FASTEST, SLOWEST, Session
 from cdcsr.errors import CdcsrError
 from cdcsr.simulation.engines import engine_title
 
@@ -121,7 +121,7 @@ class Controls:
 
     def _add_plant(self) -> None:
         self._plant = {}
-        for name, number in PLANT.items():
+        for name, number in self._session.numbers.items():
             slider = self._gui.add_slider(
                 number.title, number.low, number.high, number.step, number.start
             )
@@ -131,7 +131,7 @@ class Controls:
 
     def _add_disturbances(self) -> None:
         gui, disturbing, self._noise = self._gui, self._session.disturbing, {}
-        for name, number in NOISES.items():
+        for name, number in disturbing.numbers.items():
             slider = gui.add_slider(
                 number.title, number.low, number.high, number.step, number.start
             )
@@ -238,12 +238,12 @@ class Controls:
         self._session.set_plant(name, value)
 
     def _restore_plant(self) -> None:
-        for name, number in PLANT.items():
+        for name, number in self._session.numbers.items():
             self._session.set_plant(name, number.start)
             self._plant[name].value = number.start
 
     def _clear_noise(self) -> None:
-        for name, number in NOISES.items():
+        for name, number in self._session.disturbing.numbers.items():
             self._session.disturbing.set_noise(name, number.start)
             self._noise[name].value = number.start
 

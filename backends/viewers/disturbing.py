@@ -37,6 +37,11 @@ class ShownNumber(NamedTuple):
         if not self.low <= value <= self.high:
             raise CdcsrError(f"{self.title}: from {self.low:g} to {self.high:g}; found {value:g}.")
 
+    def grown(self, factor: float) -> ShownNumber:
+        """Return the same number with another range and step: those of a robot of another size."""
+        low, high, step = (rounded(factor * x) for x in (self.low, self.high, self.step))
+        return self._replace(low=low, high=high, step=step)
+
 
 NOISES: Mapping[str, ShownNumber] = {
     "action_noise": ShownNumber("noise of commands, share of range", 0.0, 0.5, 0.01, 0.0),
@@ -44,7 +49,7 @@ NOISES: Mapping[str, ShownNumber] = {
     "packet_loss": ShownNumber("observations lost, share", 0.0, 1.0, 0.05, 0.0),
     "observation_delay": ShownNumber("observation delay [actions]", 0.0, 40.0, 1.0, 0.0),
 }
-"""The fields of :class:`Disturbances` that can be changed."""
+"""The fields of :class:`Disturbances` that can be changed, with the paper's robot."""
 DIRECTIONS: Mapping[str, tuple[float, float, float]] = {
     "+x": (1.0, 0.0, 0.0),
     "-x": (-1.0, 0.0, 0.0),
@@ -66,14 +71,17 @@ class Disturbing:
         simulations: one copy each.
 
     Attributes:
-        noise: the numbers of :data:`NOISES` as they are shown.
+        numbers: :data:`NOISES` for this robot.
+        noise: their values as they are shown.
         strongest: the largest force of a push, in [N].
         force: the force of the next push, in [N].
     """
 
     def __init__(self, robot: Robot, simulations: Sequence[Simulation]) -> None:
         self._robot, self._simulations = robot, simulations
-        self.noise = {name: number.start for name, number in NOISES.items()}
+        shift = NOISES["base_noise"].grown(ruler(robot).size)
+        self.numbers = {**NOISES, "base_noise": shift}
+        self.noise = {name: number.start for name, number in self.numbers.items()}
         lever = [s.cables.pitch_radius for s in robot.segments for _ in s.cable_angles]
         pulls = np.array([servo.pull for servo in robot.servos])
         bears = float((pulls * lever).max(initial=0.0)) / robot.arm_length
@@ -90,14 +98,14 @@ class Disturbing:
         return self._left
 
     def set_noise(self, name: str, value: float) -> None:
-        """Change a number of :data:`NOISES`, as it is shown.
+        """Change one of :attr:`numbers`, as it is shown.
 
         Raises:
             CdcsrError: there is no such number, or it is out of range.
         """
-        if name not in NOISES:
-            raise CdcsrError(unknown_choice("disturbance", name, NOISES))
-        NOISES[name].check(value)
+        if name not in self.numbers:
+            raise CdcsrError(unknown_choice("disturbance", name, self.numbers))
+        self.numbers[name].check(value)
         self.noise = self.noise | {name: value}
         self.channel = self._new_channel()
 
@@ -137,7 +145,7 @@ class Disturbing:
             simulation.set_loads(None, -1, force=force)
 
     def _new_channel(self) -> Channel:
-        values = {name: shown * NOISES[name].scale for name, shown in self.noise.items()}
+        values = {name: shown * self.numbers[name].scale for name, shown in self.noise.items()}
         values["action_noise"] *= self._range  # in the commands' own unit
         delay = round(values.pop("observation_delay"))
         strength = Disturbances(observation_delay=delay, **values)

@@ -22,8 +22,9 @@ Array = NDArray[np.float64]
 LOOSE, TAUT, PULLED = (90, 160, 255), (70, 70, 78), (230, 60, 20)
 """The colours of a cable: slack, taut without tension, and under its largest tension."""
 _SPACE_COLOR = (120, 90, 200)
-_SLACK = 5e-5
-"""A cable that is longer than its path by more than this is drawn as slack, in [m]."""
+_SLACK, _GRAIN, _THINNEST = 5e-5, 0.006, 1e-3
+"""A cable that is longer than its path by more than this is drawn as slack; size of a drawn target;
+thickness of a flat space. All are those of the paper's robot, in [m]."""
 
 
 class EngineScene:
@@ -49,6 +50,7 @@ class EngineScene:
         space: Space | None = None,
     ) -> None:
         self._robot, self._paths, scene = robot, CablePaths(robot), server.scene
+        self._slack = _SLACK * ruler(robot).travel
         self._most = np.array([servo.pull for servo in robot.servos])
         meshes, parts = visual_meshes(robot), link_parts(robot)
         self.origin = np.array([0.0, 1.1 * number * np.ptp(meshes["base"].bounds[:, 1]), 0.0])
@@ -58,7 +60,7 @@ class EngineScene:
             f"{name}/title", title, position=(0.0, 0.0, -robot.top - 0.15 * robot.arm_length)
         )
         if space is not None:
-            _add_space(scene, f"{name}/space", space)
+            _add_space(scene, f"{name}/space", space, ruler(robot).size)
         self._base = scene.add_mesh_trimesh(f"{name}/base", meshes["base"])
         self._links = []
         for part in dict.fromkeys(parts):
@@ -114,7 +116,7 @@ class EngineScene:
         # The root shows small tensions, which most are.
         share = np.sqrt(np.clip(tension / self._most, 0.0, 1.0))[:, None]
         mixed = (1 - share) * TAUT + share * np.array(PULLED, dtype=float)
-        return np.where((slack > _SLACK)[:, None], LOOSE, mixed)
+        return np.where((slack > self._slack)[:, None], LOOSE, mixed)
 
 
 def look_at(server: viser.ViserServer, robot: Robot, last: EngineScene) -> None:
@@ -125,11 +127,11 @@ def look_at(server: viser.ViserServer, robot: Robot, last: EngineScene) -> None:
     server.initial_camera.look_at = (0.0, far / 2 + 0.2 * height, 0.5 * height)
 
 
-def _add_space(scene: viser.SceneApi, name: str, space: Space) -> None:
-    """Show where targets are drawn, as translucent bodies."""
+def _add_space(scene: viser.SceneApi, name: str, space: Space, scale: float) -> None:
+    """Show where targets are drawn, as translucent bodies, for a robot of this size."""
     look = {"opacity": 0.12, "cast_shadow": False, "receive_shadow": False}
     if isinstance(space, Anchor):
-        size = np.maximum(space.size, 1e-3)
+        size = np.maximum(space.size, scale * _THINNEST)
         scene.add_box(name, _SPACE_COLOR, size, position=space.center, **look)
     elif isinstance(space, Balls):
         for n, center in enumerate(space.centers):
@@ -151,4 +153,4 @@ def _add_space(scene: viser.SceneApi, name: str, space: Space) -> None:
         scene.add_mesh_simple(name, corners, faces, color=_SPACE_COLOR, side="double", **look)
     else:
         points = space.sample(np.random.default_rng(0), 4000).astype(np.float32)
-        scene.add_point_cloud(name, points, _SPACE_COLOR, point_size=0.006)
+        scene.add_point_cloud(name, points, _SPACE_COLOR, point_size=scale * _GRAIN)

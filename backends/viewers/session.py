@@ -18,6 +18,7 @@ from backends.viewers.driving import Driver, Driving, Shown
 from cdcsr.errors import CdcsrError, Diverged, unknown_choice
 from cdcsr.robot.description import Robot
 from cdcsr.robot.routing import cable_lengths, routing
+from cdcsr.robot.ruler import rounded, ruler
 from cdcsr.simulation.arguments import as_floats
 from cdcsr.simulation.engines import make_simulation
 from cdcsr.simulation.plant import Parameters
@@ -31,9 +32,8 @@ SLOWEST, FASTEST = 0.01, 4.0
 """The range of the speed, in simulated seconds for each second."""
 HISTORY = 400
 """The number of moments that plots and trails reach back."""
-_FARTHEST = 100.0
-"""The largest coordinate of a target, in [m]."""
-
+_SPEED, _FARTHEST = 0.2, 100.0
+"""The speed at first, and the largest coordinate of a target in [m], with the paper's robot."""
 
 PLANT: Mapping[str, ShownNumber] = {
     "base_mass": ShownNumber("base mass, factor", 0.1, 4.0, 0.05),
@@ -45,7 +45,8 @@ PLANT: Mapping[str, ShownNumber] = {
     "rest_length_offset": ShownNumber("cable length, added [mm]", -10.0, 10.0, 0.5, 0.0, 1e-3),
     "command_delay": ShownNumber("command delay [steps]", 0.0, 40.0, 1.0, 0.0),
 }
-"""The fields of :class:`Parameters` that can be changed, the same for all parts of the robot."""
+"""The fields of :class:`Parameters` that can be changed, the same for all parts of the robot; the
+ranges are those of the paper's robot."""
 
 
 class View(NamedTuple):
@@ -94,7 +95,8 @@ class Session:
         note: what stopped it last, for the user.
         steps: how many simulation steps were made since the last reset.
         target: shape (3,), world frame, in [m].
-        plant: the numbers of :data:`PLANT` as they are shown.
+        numbers: :data:`PLANT` for this robot.
+        plant: their values as they are shown.
         history: the last moments, the latest at its end.
 
     Raises:
@@ -113,8 +115,11 @@ class Session:
         self.robot, self.engines, self.space = robot, list(engines), space
         self.driving = Driving(robot, drivers, episodes)
         self.playing, self.note, self.steps = False, "", 0
-        self._speed, self._debt, self._route = 0.2, 0.0, routing(robot)
-        self.plant = {name: number.start for name, number in PLANT.items()}
+        own, longer = ruler(robot), PLANT["rest_length_offset"]
+        self._speed = float(np.clip(rounded(_SPEED * own.pace, 2), SLOWEST, FASTEST))
+        self._farthest, self._debt, self._route = _FARTHEST * own.size, 0.0, routing(robot)
+        self.numbers = {**PLANT, "rest_length_offset": longer.grown(own.travel)}
+        self.plant = {name: number.start for name, number in self.numbers.items()}
         self.history: deque[Moment] = deque(maxlen=HISTORY)
         self.simulations = [make_simulation(robot, engine) for engine in engines]
         self.disturbing = Disturbing(robot, self.simulations)
@@ -217,8 +222,10 @@ class Session:
             CdcsrError: it is no place, or too far away.
         """
         place = as_floats("The target", place, (3,))
-        if (np.abs(place) > _FARTHEST).any():
-            raise CdcsrError(f"The coordinates of a target lie within {_FARTHEST:g} m of zero.")
+        if (np.abs(place) > self._farthest).any():
+            raise CdcsrError(
+                f"The coordinates of a target lie within {self._farthest:g} m of zero."
+            )
         self.target = place
 
     def new_target(self, seed: int) -> None:
@@ -242,7 +249,7 @@ class Session:
         self.reset()
 
     def set_plant(self, name: str, value: float) -> None:
-        """Change a number of the plant, as :data:`PLANT` shows it, in all engines.
+        """Change one of :attr:`numbers`, as it is shown, in all engines.
 
         Another length of the cables puts the robot back to its start, as it changes where the
         sliders begin.
@@ -250,11 +257,11 @@ class Session:
         Raises:
             CdcsrError: there is no such number, or it is out of range.
         """
-        if name not in PLANT:
-            raise CdcsrError(unknown_choice("number of the plant", name, PLANT))
-        PLANT[name].check(value)
+        if name not in self.numbers:
+            raise CdcsrError(unknown_choice("number of the plant", name, self.numbers))
+        self.numbers[name].check(value)
         changed = self.plant | {name: value}
-        values = {key: shown * PLANT[key].scale for key, shown in changed.items()}
+        values = {key: shown * self.numbers[key].scale for key, shown in changed.items()}
         delay = round(values.pop("command_delay"))
         parameters = Parameters(command_delay=delay, **values)
         for simulation in self.simulations:

@@ -39,6 +39,8 @@ _MARGIN = 0.12
 _FIELD_OF_VIEW = 25.0
 """The vertical field of view in degrees; it is narrow, so that the far end of the arm looks hardly
 smaller."""
+_NEAREST = 0.1
+"""Nothing is drawn that is nearer to the eye than this, with the paper's robot, in [m]."""
 _FAR_AWAY = (0.0, 0.0, -1e3)
 
 
@@ -93,7 +95,7 @@ class Renderer:
         )
         view, light, distance = _look(camera, np.asarray(center, dtype=float), span)
         lens = pybullet.computeProjectionMatrixFOV(
-            _FIELD_OF_VIEW, width / height, 0.1, distance + 5 * whole
+            _FIELD_OF_VIEW, width / height, _NEAREST * self._size, distance + 5 * whole
         )
         _, _, pixels, _, mask = pybullet.getCameraImage(
             width,

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Hashable
 from dataclasses import dataclass
 from functools import lru_cache
@@ -97,6 +98,12 @@ def _ruler(key: Hashable) -> Ruler:
 def rounded(number: float, digits: int = 3) -> float:
     """Return a number with so many significant digits."""
     return float(f"{number:.{digits}g}")
+
+
+def millimetres(length: float, threshold: float) -> str:
+    """Return a length in [mm] as text, in whole ones for thresholds of 10 mm and more, and for
+    smaller ones with as many more digits as these have."""
+    return f"{1e3 * length:.{max(0, 1 - math.floor(math.log10(1e3 * threshold)))}f}"
 
 
 def answer_time(robot: Robot) -> float:

@@ -7,6 +7,7 @@ from numpy.typing import NDArray
 
 from cdcsr.errors import CdcsrError
 from cdcsr.robot.description import Robot
+from cdcsr.robot.ruler import ruler
 from cdcsr.simulation.contract import Simulation
 from cdcsr.simulation.plant import Parameters
 
@@ -24,7 +25,8 @@ FACTORS = {
 """At scale 1 a factor lies between 1 over this and this; its logarithm is uniform. All parts of a
 copy have the same factor."""
 REST_LENGTH_OFFSET = 0.02
-"""At scale 1 each cable is longer or shorter by up to this, uniform, in [m]."""
+"""At scale 1 each cable of the paper's robot is longer or shorter by up to this, uniform, in [m];
+those of another robot in proportion to its pitch radius."""
 ELASTIC = 2.0
 """At scale 1 the stiffness of elastic cables is multiplied as by a factor of :data:`FACTORS`."""
 ROUGH = 2.0
@@ -55,10 +57,11 @@ class Randomization:
     def __init__(self, robot: Robot, num: int, scale: float, rng: np.random.Generator) -> None:
         check_scale(scale)
         shortest = min(servo.stop for servo in robot.servos)
-        if scale * REST_LENGTH_OFFSET > shortest:
+        self._offset = REST_LENGTH_OFFSET * ruler(robot).travel
+        if scale * self._offset > shortest:
             raise CdcsrError(
                 f"A randomization of {scale:g} shortens cables by up to "
-                f"{scale * REST_LENGTH_OFFSET:g} m, and the sliders of {robot.name!r} have room "
+                f"{scale * self._offset:g} m, and the sliders of {robot.name!r} have room "
                 f"for {shortest:g} m; choose a smaller one."
             )
         self.rng, self._scale, self._cables = rng, scale, robot.num_cables
@@ -88,7 +91,7 @@ class Randomization:
     def _draw(self, num: int) -> Drawn:
         widths = self._scale * np.log(list(FACTORS.values()))
         factors = np.exp(self.rng.uniform(-1, 1, (num, len(FACTORS))) * widths)
-        offset = self.rng.uniform(-1, 1, (num, self._cables)) * self._scale * REST_LENGTH_OFFSET
+        offset = self.rng.uniform(-1, 1, (num, self._cables)) * self._scale * self._offset
         delay = self.rng.integers(0, round(self._scale * COMMAND_DELAY), num, endpoint=True)
         drawn: Drawn = {
             **dict(zip(FACTORS, factors.T, strict=True)),

@@ -13,6 +13,8 @@ if TYPE_CHECKING:
     from controllers.controller import Controller
 
 _ENDINGS = ".mp4", ".gif", ".html"
+_SPEED = 0.12
+"""Simulated seconds in a second of the film, of the paper's robot."""
 _MOST_EPISODES, _MOST_WIDTH, _MOST_RATE, _MOST_SECONDS = 100, 2_000, 100, 1_000.0
 
 
@@ -27,7 +29,7 @@ def film(
     targets: int = 3,
     seed: int | None = None,
     seconds: float | None = None,
-    speed: float = 0.12,
+    speed: float | None = None,
     fps: int = 12,
     camera: str = "side",
     width: int = 400,
@@ -51,7 +53,8 @@ def film(
         targets: how many episodes, one after another.
         seed: seed of the targets; by default the one that nothing is tuned on.
         seconds: how much of each episode is shown, in simulated s; by default all of it.
-        speed: how many simulated seconds pass in a second.
+        speed: how many simulated seconds pass in a second; by default 0.12 for the paper's robot,
+            and so many that episodes of another take as long.
         fps: frames in a second.
         camera: side, front or top; a page can be turned.
         width: the width of each engine's picture in pixels; its height is 1.8 times that.
@@ -59,6 +62,7 @@ def film(
     """
     from cdcsr.errors import CdcsrError
     from cdcsr.files import refuse_taken
+    from cdcsr.robot.ruler import ruler
     from cdcsr.simulation.arguments import check_count, check_number
     from cdcsr.simulation.cameras import camera_angles
     from cdcsr.simulation.engines import engine_factory
@@ -71,7 +75,8 @@ def film(
     check_count("targets", targets, _MOST_EPISODES)
     check_count("fps", fps, _MOST_RATE)
     check_count("width", width, _MOST_WIDTH, least=32)
-    check_number("speed", speed, 1e-3, 100.0)
+    if speed is not None:
+        check_number("speed", speed, 1e-3, 100.0)
     if seconds is not None:
         check_number("seconds", seconds, 0.0, _MOST_SECONDS)
     camera_angles(camera)
@@ -82,7 +87,8 @@ def film(
     set_threads()
     shown, found, places = _find(what, robot, space, targets, seed)
     limit = float("inf") if seconds is None else seconds
-    style = Style(fps, speed / fps, width, camera, limit)
+    speed = _SPEED * ruler(found).pace if speed is None else speed
+    style = Style(speed / fps, fps, width, camera, limit)
     policy_video(shown, found, backend, places, out, shown.frame_skip, style)
     size = out.stat().st_size / 1e6
     print(f"{shown.name}, {found.name} in {', '.join(backend)} -> {out}, {size:.2f} MB")

@@ -283,9 +283,8 @@ class _Search:
             numbers = [*targets[episode].round(4).tolist(), *_plain(alone), *_plain(best)]
             rows.append(_Row._make([episode, *numbers]))
             write_text(table, csv_text(_Row._fields, rows))
-            print(
-                f"{episode + 1} of {self.episodes}: {_text(alone)}; best {_text(best)}", flush=True
-            )
+            told, found = (_text(each, env.task.threshold) for each in (alone, best))
+            print(f"{episode + 1} of {self.episodes}: {told}; best {found}", flush=True)
         return rows
 
 
@@ -293,9 +292,11 @@ def _plain(outcome: Outcome) -> tuple[float, float, float]:
     return round(outcome.reached, 3), round(outcome.length, 2), round(outcome.nearest, 5)
 
 
-def _text(outcome: Outcome) -> str:
-    nearest = 1e3 * outcome.nearest
-    return f"reached {outcome.reached:.2f}, {outcome.length:.0f} steps, nearest {nearest:.0f} mm"
+def _text(outcome: Outcome, threshold: float) -> str:
+    from cdcsr.robot.ruler import millimetres
+
+    nearest = millimetres(outcome.nearest, threshold)
+    return f"reached {outcome.reached:.2f}, {outcome.length:.0f} steps, nearest {nearest} mm"
 
 
 def _summarize(rows: list[_Row], most: int) -> _Summary:

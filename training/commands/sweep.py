@@ -104,6 +104,7 @@ def _measure(
     space, task = space or controller.space or "anchor", task or controller.task
     start = start or controller.start
     description = adjusted(description, task, [space], *numbers)
+    axes = [each.on(description) for each in axes]
     check_spaces(controller, description, task, [space], start)
     seed = TEST_SEED if seed is None else seed
     lines: list[list[Point]] = []

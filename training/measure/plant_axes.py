@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from math import exp, log
 
 from cdcsr.errors import CdcsrError, unknown_choice
 from cdcsr.robot.description import Robot
+from cdcsr.robot.ruler import rounded, ruler
 from cdcsr.simulation.plant import Parameters
 
 
@@ -34,9 +35,10 @@ class Axis:
     unit: str
     """The unit of the levels; "factor" if they multiply the description's number."""
     up: tuple[float, ...]
-    """The levels above nominal, outwards; the last one is the largest measured."""
+    """The levels above nominal, outwards, for the paper's robot; the last one is the largest
+    measured."""
     down: tuple[float, ...]
-    """The levels below nominal, outwards."""
+    """The levels below nominal, outwards, likewise."""
     build: Callable[[Robot, float], ActualPlant]
     """Makes the plant at a level."""
 
@@ -54,6 +56,16 @@ class Axis:
     def levels(self) -> tuple[float, ...]:
         """All levels: nominal, then outwards up, then outwards down."""
         return (self.nominal, *self.up, *self.down)
+
+    def on(self, robot: Robot) -> Axis:
+        """Return the same axis with levels for a robot: lengths and strains by its ruler, and none
+        that leaves its sliders no room."""
+        own, room = ruler(robot), min((servo.stop for servo in robot.servos), default=0.0)
+        unit = {"m": own.travel, "1/N": 1 / own.pull}.get(self.unit, 1.0)
+        up, down = (tuple(rounded(unit * x) for x in side) for side in (self.up, self.down))
+        if self.name == "rest_length_offset":
+            down = tuple(x for x in down if -x <= room + 1e-9)
+        return replace(self, up=up, down=down)
 
     def plant(self, robot: Robot, level: float) -> ActualPlant:
         """Return the plant at a level.

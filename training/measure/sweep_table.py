@@ -8,6 +8,7 @@ from itertools import combinations
 
 import numpy as np
 
+from cdcsr.robot.ruler import millimetres
 from cdcsr.tables import markdown
 from cdcsr.tasks.task import Task
 from training.measure.plant_sweep import Point, directions, halvings
@@ -51,17 +52,14 @@ class Difference:
 
 def _reading(task: Task, distance: float, length: int) -> str:
     """Say why an episode may have failed, from its last distance and the success's length."""
-    threshold, millimetres = task.threshold, distance * 1e3
+    threshold, ends = task.threshold, f"ends {millimetres(distance, task.threshold)} mm from"
     if distance <= threshold:
-        return f"at the target, but not as {task.name} asks: ends {millimetres:.0f} mm from it"
+        return f"at the target, but not as {task.name} asks: {ends} it"
     if distance <= 2 * threshold:
-        return (
-            f"near miss: ends {millimetres:.0f} mm from the target, "
-            f"{threshold * 1e3:.0f} are allowed"
-        )
+        return f"near miss: {ends} the target, {millimetres(threshold, threshold)} are allowed"
     if length > 0.9 * task.max_steps:
         return f"late: succeeds after {length} of {task.max_steps} steps"
-    return f"another path: ends {millimetres:.0f} mm from the target"
+    return f"another path: {ends} the target"
 
 
 def differences(first: Point, second: Point) -> list[Difference]:

@@ -68,7 +68,11 @@ def draw_targets(results: Mapping[str, Result], robot: Robot, path: Path) -> Non
             axes = _add_axes(figure, grid[i // columns, 1 + i % columns])
             count = f"{int(result.success.sum())} of {len(result.success)} reached"
             axes.set_title(f"{textwrap.fill(name, 44)}\n{count}", y=0.95, fontsize=9)
-            _frame(axes, (low + high) / 2, np.full(3, 0.52 * (high - low).max() + 1e-3))
+            _frame(
+                axes,
+                (low + high) / 2,
+                np.full(3, 0.52 * (high - low).max() + 4e-4 * robot.arm_length),
+            )
             _draw_arm(axes, robot)
             _draw_result(axes, result)
             for axis, letter in ((axes.xaxis, "x"), (axes.yaxis, "y"), (axes.zaxis, "z")):

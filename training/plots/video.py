@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import tempfile
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 
 import imageio.v2 as imageio
@@ -20,7 +20,7 @@ from cdcsr.errors import CdcsrError
 from cdcsr.files import write_bytes, write_text
 from cdcsr.robot.colors import BACKGROUND
 from cdcsr.robot.description import Robot
-from cdcsr.robot.ruler import ruler
+from cdcsr.robot.ruler import millimetres, ruler
 from cdcsr.simulation.engines import engine_title
 from controllers.controller import Controller
 from controllers.rollout import rollout
@@ -31,7 +31,8 @@ Picture = NDArray[np.uint8]
 
 FRAMES_PER_SECOND = 12
 FRAME_PERIOD = 0.01
-"""Simulated time between two frames, in [s]; the video is eight times slower than reality."""
+"""Simulated time between two frames with the paper's robot, in [s]; the video is eight times slower
+than reality. Episodes of other robots take as long to watch."""
 HOLD = 14
 """Frames for which the end of an episode is shown."""
 WIDTH, HEIGHT, CAPTION = 400, 640, 80
@@ -47,10 +48,10 @@ _MARGIN = 20
 class Style:
     """How a film looks."""
 
+    period: float
+    """Simulated time between two frames, in [s]."""
     rate: int = FRAMES_PER_SECOND
     """Frames in a second."""
-    period: float = field(default_factory=lambda: FRAME_PERIOD)
-    """Simulated time between two frames, in [s]."""
     width: int = WIDTH
     """Width of one engine's picture in pixels, even."""
     camera: str = "side"
@@ -141,7 +142,7 @@ def policy_video(
         frame_skip: simulation steps for which each action is held; by default the robot's own.
         style: how the film looks.
     """
-    style = style or Style()
+    style = style or Style(FRAME_PERIOD * ruler(robot).pace)
     recordings = [record(controller, robot, backend, targets, frame_skip) for backend in backends]
     skip = ruler(robot).frame_skip if frame_skip is None else frame_skip
     period = robot.time_step * skip
@@ -186,7 +187,7 @@ def draw_frames(
         period: time between two rows of a recording, in [s].
         style: how the film looks.
     """
-    style = style or Style()
+    style = style or Style(FRAME_PERIOD * ruler(robot).pace)
     rows = [
         [recording.rows(n, period, style) for n in range(len(targets))] for recording in recordings
     ]
@@ -200,7 +201,9 @@ def draw_frames(
                 for recording, episodes in zip(recordings, rows, strict=True):
                     columns.append([])
                     for row in episodes[n]:
-                        caption = _caption(recording, n, row, title, row * period, style)
+                        caption = _caption(
+                            recording, n, row, title, row * period, ruler(robot).threshold, style
+                        )
                         position = recording.position[row, n]
                         picture = _picture(renderer, robot, position, target, style)
                         columns[-1].append(np.concatenate([caption, picture]))
@@ -276,7 +279,13 @@ def _picture(
 
 
 def _caption(
-    recording: Recording, episode: int, row: int, title: str, time: float, style: Style
+    recording: Recording,
+    episode: int,
+    row: int,
+    title: str,
+    time: float,
+    threshold: float,
+    style: Style,
 ) -> Picture:
     """Draw the text above a picture: engine, target, time and distance."""
     pixels = style.pixels
@@ -287,7 +296,8 @@ def _caption(
     draw.text((left, pixels(12)), engine_title(recording.backend), _INK, large)
     draw.text((right, pixels(16)), title, _SOFT, small, anchor="ra")
     draw.text((left, second), f"{1000 * time:.0f} ms", _INK, small)
-    words, color = f"{1000 * recording.distance[row, episode]:.0f} mm to target", _INK
+    away = millimetres(recording.distance[row, episode], threshold)
+    words, color = f"{away} mm to target", _INK
     if row == recording.end[episode]:
         outcome = ("missed", MISSED_COLOR), ("reached", REACHED_COLOR)
         word, color = outcome[int(recording.success[episode])]

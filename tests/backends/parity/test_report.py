@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from contextlib import contextmanager
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -81,6 +82,12 @@ def test_the_text_has_the_numbers_in_their_units(parity: Parity) -> None:
     failed = [" ".join((check.name, check.pair)) for check in parity.failed]
     assert failed == ["bias force b - a", "mean tip distance b - a, demonstrator"]
     assert lines[-1].startswith("14 of 16 checks hold; first failure: level 1, bias force, b - a: ")
+
+
+def test_the_report_measures_by_the_robots_own_ruler(parity: Parity) -> None:
+    """The arm of 0.12 m is a twentieth of the paper's, and so is the error of 3 mm."""
+    text = show(replace(parity, robot=load_robot("bench-arm")))
+    assert "steps in [ms] with an error of 0.15 mm: a 0.05, b 0.15" in text
 
 
 def test_the_plain_data_name_the_first_failure(parity: Parity) -> None:

@@ -16,6 +16,7 @@ from cdcsr.errors import CdcsrError, Diverged
 from cdcsr.robot.description import Robot, load_robot, shipped_robots
 from cdcsr.robot.poses import link_poses
 from cdcsr.robot.routing import cable_lengths, routing
+from cdcsr.robot.ruler import answer_time
 from cdcsr.simulation.plant import Parameters
 from cdcsr.simulation.state import State
 from cdcsr.tasks.spaces import anchor
@@ -50,6 +51,22 @@ def test_all_engines_get_the_command_of_the_hand(paper: Robot, session: Session)
         assert np.linalg.norm(expected - session.history[0].tip[number]) > 1e-4
     tips = session.history[-1].tip
     assert session.apart == pytest.approx(np.linalg.norm(tips[0] - tips[1]))
+
+
+def test_ranges_have_the_size_and_the_pace_of_the_robot() -> None:
+    bench, paper = load_robot("bench-arm"), load_robot("paper")
+    session = Session(bench, ["mujoco"], anchor(bench))
+    pace = answer_time(bench) / answer_time(paper)
+    assert session.speed == pytest.approx(0.2 * pace, rel=0.05)
+    assert session.numbers["rest_length_offset"][1:4] == (-0.5, 0.5, 0.025)
+    assert session.disturbing.numbers["base_noise"][1:4] == (0, 10, 0.25)
+    with pytest.raises(CdcsrError, match=r"from -0\.5 to 0\.5; found 10"):
+        session.set_plant("rest_length_offset", 10.0)
+    with pytest.raises(CdcsrError, match="from 0 to 10; found 200"):
+        session.disturbing.set_noise("base_noise", 200.0)
+    with pytest.raises(CdcsrError, match="within 5 m of zero"):
+        session.move_target(np.array([0.0, 0.0, 5.1]))
+    session.close()
 
 
 def test_time_passes_only_while_playing_and_as_fast_as_asked(session: Session) -> None:

@@ -6,7 +6,8 @@ import numpy as np
 
 from backends.contract_suite.states import straight
 from backends.viewers.software import Renderer
-from cdcsr.robot.description import Robot
+from cdcsr.robot.description import Robot, load_robot
+from cdcsr.robot.poses import tip_at_start
 
 
 def test_pictures_show_the_pose_and_the_targets(paper: Robot) -> None:
@@ -23,3 +24,13 @@ def test_pictures_show_the_pose_and_the_targets(paper: Robot) -> None:
     assert 10 < len(rows) < 200
     assert rows.mean() < 200  # high up
     assert columns.mean() > 240  # to the right of the arm, as this camera sees it
+
+
+def test_a_near_view_of_a_small_robot_shows_its_tip() -> None:
+    """The eye is 40 mm from it, nearer than what a robot of the paper's size would hide."""
+    robot = load_robot("bench-arm")
+    renderer = Renderer(robot)
+    tip = tip_at_start(robot)
+    near = renderer.draw(straight(robot, 1).position[0], size=(64, 64), focus=(tip, 0.02))
+    renderer.close()
+    assert (near != near[0, 0]).any(axis=2).mean() > 0.05

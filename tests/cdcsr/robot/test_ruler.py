@@ -11,7 +11,7 @@ import pytest
 from cdcsr.envs.gym_env import TaskVectorEnv
 from cdcsr.errors import CdcsrError
 from cdcsr.robot.description import Robot, load_robot, parse_robot, shipped_robots
-from cdcsr.robot.ruler import _planar_mass, answer_time, ruler
+from cdcsr.robot.ruler import _planar_mass, answer_time, millimetres, ruler
 from cdcsr.robot.scale import Scale
 from cdcsr.simulation.engines import make_simulation
 from cdcsr.tasks.catalogue import TASKS, Capture, Follow, make_task
@@ -62,6 +62,11 @@ def test_first_robots_have_the_numbers_of_the_paper(name: str) -> None:
     assert (controller.calm, controller.calm_within) == (0.02, 0.1)
     widths = [part.width(robot.num_cables) for part in PARTS]
     assert input_scale(robot).tolist() == np.repeat([part.scale for part in PARTS], widths).tolist()
+
+
+def test_millimetres_have_as_many_digits_as_the_threshold_asks() -> None:
+    told = [millimetres(0.0123456, threshold) for threshold in (0.03, 0.01, 0.0062, 0.0015, 2e-4)]
+    assert told == ["12", "12", "12.3", "12.3", "12.35"]
 
 
 def test_a_similar_robot_has_similar_tasks() -> None:

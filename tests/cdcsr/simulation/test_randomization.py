@@ -37,6 +37,12 @@ def test_draws_fill_their_ranges(robot: Robot, scale: float) -> None:
     assert set(drawn["command_delay"]) == set(range(round(scale * COMMAND_DELAY) + 1))
 
 
+def test_cables_of_a_small_robot_differ_by_as_much_less() -> None:
+    """The pitch radius of the arm of 0.12 m is a twentieth of the paper's, 20 mm."""
+    offset = _randomization(load_robot("bench-arm"), 200, 1.0)._draw(200)["rest_length_offset"]
+    assert 0.99e-3 < np.abs(offset).max() <= 1e-3
+
+
 def test_only_copies_that_begin_an_episode_get_a_new_plant(robot: Robot) -> None:
     simulation = make_simulation(robot, "mujoco", 4)
     randomization = _randomization(robot, 4, 1.0)

@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 
 from cdcsr.errors import CdcsrError
 from cdcsr.robot.description import Robot, load_robot
+from cdcsr.robot.segments import Segment
 from cdcsr.simulation.contract import State
 from cdcsr.simulation.engines import backend_names, make_simulation
 from controllers.controller import Conditions, Controller, Target
@@ -97,6 +98,31 @@ def test_a_policy_fails_on_a_plant_that_is_far_off(name: str, policy: Policy, pa
     ]
     assert rates[0] == 1
     assert rates[1] < 0.5
+
+
+def test_levels_have_the_size_of_the_robot() -> None:
+    """The bench arm's cables run at a twentieth of the paper's distance from the axis, with servos
+    weaker by 20^3; its sliders have 9.5 mm of room."""
+    paper, bench = load_robot("paper"), load_robot("bench-arm")
+    assert [axis.on(paper) for axis in AXES.values()] == list(AXES.values())
+    own = {name: axis.on(bench) for name, axis in AXES.items()}
+    assert own["rest_length_offset"].down == (-0.00025, -0.0005, -0.001, -0.0025, -0.005, -0.0095)
+    assert own["cable_strain"].up[-1] == pytest.approx(8.0, rel=1e-2)
+    assert own["link_mass"] == AXES["link_mass"]
+    tight = bench.model_copy(update={"segments": (_with_slider_at(bench, 0.0035),)})
+    assert AXES["rest_length_offset"].on(tight).down[-1] == -0.0025
+    for level in own["rest_length_offset"].levels[1:]:
+        plant = own["rest_length_offset"].plant(bench, level)
+        assert plant.parameters is not None
+        plant.parameters.plant(bench, 1)  # refuses none of them
+
+
+def _with_slider_at(robot: Robot, offset: float) -> Segment:
+    """Return the first segment with its sliders so far from the guides, in [m]."""
+    segment = robot.segments[0]
+    return segment.model_copy(
+        update={"own_servo": segment.servo.model_copy(update={"offset": offset})}
+    )
 
 
 @pytest.mark.parametrize("axis", AXES.values(), ids=list(AXES))

@@ -171,7 +171,7 @@ def plants(subject: Subject, episodes: int) -> Iterator[Row]:
         nominal = evaluate(
             subject.controller, subject.robot, backend, space, episodes, **subject.options
         )
-        for axis in AXES.values():
+        for axis in (each.on(subject.robot) for each in AXES.values()):
             points = [Point(backend, space, axis, axis.nominal, nominal, task=task)]
             if nominal.success.any():  # else there is nothing to lose
                 points = sweep(
