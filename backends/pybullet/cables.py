@@ -23,7 +23,8 @@ problem, with forces of either sign, which are handed on. Their limits are rows 
 set of them, and not Bullet's, which does not know that the other hinges move along.
 
 Coordinates are Bullet's: base angular, base linear, sliders, hinges, with the base's in the base's
-frame. No cable touches the base, so nothing has to be turned.
+frame. No cable touches the base, so nothing has to be turned. The equations are solved with the
+base last: the mass matrix couples no slider to another or to a hinge, and so does not its factor.
 """
 
 from __future__ import annotations
@@ -38,9 +39,8 @@ from backends.pybullet.lcp import (
     solve_complementarity,
     solve_with_equalities,
 )
-from backends.pybullet.rig import Rig, cable_rows
+from backends.pybullet.rig import Packed, Rig, cable_rows, unpacked
 from cdcsr.compiled import compiled
-from cdcsr.simulation.plant import Plant
 
 Array = NDArray[np.float64]
 Ints = NDArray[np.int64]
@@ -116,8 +116,8 @@ def _solve(
         rig: the robot's numbers.
         limited: the joints that are past their limits.
         softness: c / h^2 of each cable, shape (C,).
-        whole: L, the factor of the mass matrix; L^-1 times what drives, to which linkages are
-            added; L^-1 times the rows of cables, limits and linkages.
+        whole: U, the factor of the mass matrix; U'^-1 times what drives, to which linkages are
+            added; U'^-1 times the rows of cables, limits and linkages.
         room: what the rows of cables and limits may reach; what drives is taken off.
         apart: what the rows of linkages must reach.
         pull: replaced by the forces of cables and limits; the old ones are a first guess.
@@ -144,7 +144,7 @@ def _push_coupled(rig: Rig, limited: Ints, pull: Array, pushes: Array, force: Ar
     """Add the forces of the limits of coupled hinges, which Bullet does not know."""
     cables = pull.size - limited.size
     for i, k in enumerate(limited):
-        if k >= cables and rig.coupled[k - cables]:
+        if k >= cables and (rig.leader == rig.leader[k - cables]).sum() > 1:
             force -= pull[cables + i] * pushes[cables + i]
 
 
@@ -190,13 +190,11 @@ def _solve_rubbing(
 
 
 @compiled()
-def _cable_slack(
-    rig: Rig, plant: Plant, copy: int, excess: Array, step: float, slack: Array
-) -> None:
+def _cable_slack(rig: Rig, excess: Array, step: float, slack: Array) -> None:
     """Fill in how fast each cable may get longer, in [m/s]."""
     for c in range(excess.size):
-        gap = plant.rest_length_offset[copy, c] - excess[c]
-        springs = plant.cable_compliance[copy, c] > 0
+        gap = rig.rest_length_offset[c] - excess[c]
+        springs = rig.cable_compliance[c] > 0
         slack[c] = gap / (step if gap >= 0 or springs else rig.recovery_time)
 
 
@@ -209,17 +207,15 @@ def _take_off(rows: Array, velocity: Array, slack: Array) -> None:
 
 
 @compiled()
-def _servo_forces(rig: Rig, gain: Array, command: Array, travel: Array) -> Array:
+def _servo_forces(rig: Rig, command: Array, travel: Array) -> Array:
     """Return the forces of the servos on their sliders, shape (C,), in [N]."""
-    force = gain * (rig.sign * command - rig.returns * travel) - rig.pretension
+    force = rig.servo_gain * (rig.sign * command - rig.returns * travel) - rig.pretension
     return np.minimum(np.maximum(force, -rig.force_limit), rig.force_limit)
 
 
 @compiled()
 def joint_forces(
-    rig: Rig,
-    plant: Plant,
-    copy: int,
+    numbers: Packed,
     mass: Array,
     bias: Array,
     joints: Array,
@@ -230,15 +226,14 @@ def joint_forces(
     bound: Array,
     tension: Array,
     friction: Array,
+    motors: bool,
     servo: Array,
     force: Array,
 ) -> None:
     """Find the tensions of the coming step of one copy, and the joint forces to hand to Bullet.
 
     Args:
-        rig: the robot's numbers.
-        plant: the numbers of all copies.
-        copy: the row of `plant` to use.
+        numbers: the copy's.
         mass: M, shape (nv, nv), in Bullet's coordinates.
         bias: shape (nv,).
         joints: positions of sliders and hinges, shape (C + H,), in [m] and [rad].
@@ -251,16 +246,17 @@ def joint_forces(
         tension: shape (C,), in [N]; replaced. The old ones are a first guess of which cables pull.
         friction: by how much the tension before each place exceeds that behind it, shape (R,), in
             [N]; replaced likewise.
+        motors: whether Bullet's motors are the servos.
         servo: filled with the servos' forces on the sliders, shape (C,), in [N].
-        force: filled with all other forces on sliders and hinges, shape (C + H,), in [N] and [N m]:
-            springs, cables, and what makes stiff dampers implicit; not Bullet's own dampers
-            and hinge limits.
+        force: filled with the forces on sliders and hinges, shape (C + H,), in [N] and [N m]:
+            springs, cables, servos unless Bullet's motors are these, and what makes stiff dampers
+            implicit; not Bullet's own dampers and hinge limits.
     """
-    cables, size = tension.size, mass.shape[0]
+    rig, cables, size = unpacked(numbers), tension.size, mass.shape[0]
     hinges = joints[cables:]
-    servo[:] = _servo_forces(rig, plant.servo_gain[copy], command, joints[:cables])
+    servo[:] = _servo_forces(rig, command, joints[:cables])
     force[:cables] = 0.0
-    force[cables:] = -plant.stiffness[copy] * (hinges - rig.rest)
+    force[cables:] = -rig.stiffness * (hinges - rig.rest)
 
     # Rows of `whole`: the mass matrix, what drives, the cables, the limits of joints past them.
     limited = np.flatnonzero((joints > rig.upper) | (joints < rig.lower))
@@ -269,10 +265,11 @@ def joint_forces(
         limited = _first_of_each(rig.leader, limited, cables)
     count = cables + limited.size
     whole = np.zeros((size + 1 + count + followers.size + bound.size, size))
-    rows = whole[size + 1 :, 6:]
+    moving = size - 6
+    rows = whole[size + 1 :, :moving]
     excess = cable_rows(rig, joints[:cables], hinges, rows)
     slack, pull = np.empty(count), np.zeros(count)
-    _cable_slack(rig, plant, copy, excess, step, slack)
+    _cable_slack(rig, excess, step, slack)
     _limit_rows(rig, limited, joints, step, rows[cables:], slack[cables:])
     _take_off(rows[:count], velocity, slack)
     slack /= step
@@ -280,15 +277,15 @@ def joint_forces(
     apart = _linkage_rows(rig, followers, hinges, rates, step, linked)
     rows[count + followers.size :, cables:] = tails
 
-    stiff = step * stiff_dampers(rig, plant, copy, hinges, step)
-    whole[size] = -bias
-    whole[size, 6:] += force - plant.damping[copy] * velocity
-    whole[size, 6 : 6 + cables] += servo
+    stiff = step * stiff_dampers(rig, hinges, step)
+    whole[size, :moving] = force - rig.damping * velocity - bias[6:]
+    whole[size, :cables] += servo
+    whole[size, moving:] = -bias[:6]
     fill_mass(whole, mass, stiff)
     pushes = rows.copy()
     inverse = factor(whole)
     pull[:cables] = tension
-    softness = plant.cable_compliance[copy] / step**2
+    softness = rig.cable_compliance / step**2
     if bound.size:
         room = np.concatenate((slack, apart, -(tails @ rates) / step))
         _solve_rubbing(rig, limited, softness, whole, room, bound, pull, pushes, force, friction)
@@ -299,3 +296,5 @@ def joint_forces(
         force -= tension[c] * pushes[c]
     if stiff.any():
         damp(whole, inverse, pull, stiff, force)
+    if not motors:
+        force[:cables] += servo

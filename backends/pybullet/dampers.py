@@ -14,13 +14,12 @@ from numpy.typing import NDArray
 from backends.pybullet.lcp import solve_transposed
 from backends.pybullet.rig import Rig
 from cdcsr.compiled import compiled
-from cdcsr.simulation.plant import Plant
 
 Array = NDArray[np.float64]
 
 
 @compiled()
-def stiff_dampers(rig: Rig, plant: Plant, copy: int, hinges: Array, step: float) -> Array:
+def stiff_dampers(rig: Rig, hinges: Array, step: float) -> Array:
     """Return the dampers that must be implicit, others as zero, shape (C + H,).
 
     A damper turns the two bodies at its hinge against each other. Alone in space, moments I and J
@@ -29,19 +28,20 @@ def stiff_dampers(rig: Rig, plant: Plant, copy: int, hinges: Array, step: float)
     axis, so that a damper is explicit below 1/2.
 
     Args:
-        rig, plant, copy, step: as for :func:`backends.pybullet.cables.joint_forces`.
+        rig: the copy's numbers.
+        step: h in [s].
         hinges: shape (H,), in [rad].
     """
-    cables, damping = rig.slider_mass.size, plant.damping[copy]
+    cables, damping = rig.slider_mass.size, rig.damping
     if not rig.universal:
         return damping.copy()
     stiff = np.zeros(damping.size)
     for c in range(cables):
         if step * damping[c] / rig.slider_mass[c] > 0.5:
             stiff[c] = damping[c]
-    lower = plant.base_inertia[copy]
+    lower = rig.base_inertia
     for j in range(hinges.size // 2):
-        upper = plant.link_inertia[copy, j]
+        upper = rig.link_inertia[j]
         # The x axis belongs to the lower body and is tilted in the upper one; y the other way.
         tilt_x, tilt_y = np.sin(hinges[2 * j + 1]) ** 2, np.sin(hinges[2 * j]) ** 2
         about_x = upper[0] * (1 - tilt_x) + upper[2] * tilt_x
@@ -57,10 +57,19 @@ def stiff_dampers(rig: Rig, plant: Plant, copy: int, hinges: Array, step: float)
 
 @compiled()
 def fill_mass(whole: Array, mass: Array, stiff: Array) -> None:
-    """Fill in M + h C, where `stiff` is the diagonal of h C for sliders and hinges."""
-    whole[: len(mass)] = mass
-    for k in range(stiff.size):
-        whole[6 + k, 6 + k] += stiff[k]
+    """Fill in M + h C for sliders and hinges, then the base.
+
+    Args:
+        whole: its upper triangle is filled.
+        mass: M, with the base first.
+        stiff: the diagonal of h C for sliders and hinges.
+    """
+    joints, size = stiff.size, len(mass)
+    whole[:joints, :joints] = mass[6:, 6:]
+    whole[:joints, joints:] = mass[6:, :6]
+    whole[joints:size, joints:] = mass[:6, :6]
+    for k in range(joints):
+        whole[k, k] += stiff[k]
 
 
 @compiled()
@@ -68,7 +77,7 @@ def damp(whole: Array, inverse: Array, pull: Array, stiff: Array, force: Array) 
     """Add -h C a to the joint forces, with which Bullet makes the step of M + h C.
 
     Args:
-        whole: L, the factor of M + h C; L^-1 times what drives, which is replaced by a; L^-1
+        whole: U, the factor of M + h C; U'^-1 times what drives, which is replaced by a; U'^-1
             times the rows of cables and limits, and others.
         inverse: from :func:`backends.pybullet.lcp.factor`.
         pull: the forces of cables and limits.
@@ -79,4 +88,4 @@ def damp(whole: Array, inverse: Array, pull: Array, stiff: Array, force: Array) 
     rest = whole[size]
     rest -= pull @ whole[size + 1 : size + 1 + pull.size]
     solve_transposed(whole, inverse, rest)
-    force -= stiff * rest[6:]
+    force -= stiff * rest[: stiff.size]

@@ -27,39 +27,60 @@ _DESCENT = 1e-4
 
 @compiled(_FAST)
 def factor(whole: Array) -> Array:
-    """Replace a symmetric matrix by its Cholesky factor L, and each row b below it by L^-1 b.
+    """Replace a symmetric matrix by U with U' U equal to it, and each row b below it by U'^-1 b.
+
+    Two rows of U are taken off all others at a time, which halves how often these are read and
+    written; where both would take off nothing, the row is left alone.
 
     Args:
-        whole: the matrix, of which only the lower triangle is read, and rows of its length below.
+        whole: the matrix, of which only the upper triangle is read and replaced, and rows of its
+            length below.
 
     Returns:
-        One over the diagonal of L.
+        One over the diagonal of U.
     """
-    size = whole.shape[1]
-    inverse = np.empty(size)
-    for row in range(whole.shape[0]):
-        target = whole[row]
-        for k in range(min(row, size)):
-            value = target[k]
-            for i in range(k):
-                value -= target[i] * whole[k, i]
-            target[k] = value * inverse[k]
-        if row < size:
-            value = target[row]
-            for i in range(row):
-                value -= target[i] * target[i]
-            target[row] = np.sqrt(value)
-            inverse[row] = 1.0 / target[row]
+    size, inverse = whole.shape[1], np.empty(whole.shape[1])
+    for k in range(0, size, 2):
+        above = whole[k]
+        inverse[k] = _scale(above, k)
+        if k + 1 == size:
+            for row in range(size, len(whole)):
+                whole[row, k] *= inverse[k]
+            break
+        below, along = whole[k + 1], above[k + 1]
+        for i in range(k + 1, size):
+            below[i] -= along * above[i]
+        inverse[k + 1] = _scale(below, k + 1)
+        for row in range(k + 2, len(whole)):
+            target, start = whole[row], row
+            first, second = above[min(row, size - 1)], below[min(row, size - 1)]
+            if row >= size:
+                first = target[k] * inverse[k]
+                second = (target[k + 1] - first * along) * inverse[k + 1]
+                target[k], target[k + 1], start = first, second, k + 2
+            if first != 0.0 or second != 0.0:
+                for i in range(start, size):
+                    target[i] -= first * above[i] + second * below[i]
+    return inverse
+
+
+@compiled(_FAST)
+def _scale(row: Array, start: int) -> float:
+    """Divide a row from `start` on by the root of its first number, and return one over it."""
+    inverse = 1.0 / np.sqrt(row[start])
+    for i in range(start, row.size):
+        row[i] *= inverse
     return inverse
 
 
 @compiled(_FAST)
 def solve_transposed(whole: Array, inverse: Array, vector: Array) -> None:
-    """Replace a vector b by L^-T b; the other arguments are as :func:`factor` leaves them."""
+    """Replace a vector b by U^-1 b; the other arguments are as :func:`factor` leaves them."""
     for k in range(inverse.size - 1, -1, -1):
-        vector[k] *= inverse[k]
-        for i in range(k):
-            vector[i] -= vector[k] * whole[k, i]
+        value = vector[k]
+        for i in range(k + 1, inverse.size):
+            value -= whole[k, i] * vector[i]
+        vector[k] = value * inverse[k]
 
 
 @compiled()
@@ -68,7 +89,7 @@ def _solve_members(matrix: Array, vector: Array, members: NDArray[np.int64]) -> 
     block = np.empty((members.size + 1, members.size))
     for row in range(members.size):
         block[-1, row] = -vector[members[row]]
-        for k in range(row + 1):
+        for k in range(row, members.size):
             block[row, k] = matrix[members[row], members[k]]
     inverse, solved = factor(block), block[-1]
     solve_transposed(block, inverse, solved)
@@ -131,8 +152,8 @@ def solve_with_equalities(
 ) -> Array:
     """Solve 0 <= x complementary to A x + W H' y + b >= 0 with H W' x + H H' y + c = 0.
 
-    With H H' = L L' the second equation gives y. The first becomes one in x alone, in which
-    Z = W H' L'^-1 takes Z Z' from the matrix and Z L^-1 c from b.
+    With H H' = U' U the second equation gives y. The first becomes one in x alone, in which
+    Z = W H' U^-1 takes Z Z' from the matrix and Z U'^-1 c from b.
 
     Args:
         matrix: A, shape (count, count).

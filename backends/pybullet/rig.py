@@ -1,8 +1,8 @@
-"""The numbers of a robot on which its cables depend, and the rows of the cables, compiled."""
+"""The numbers of a copy on which its cables depend, and the rows of the cables, compiled."""
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import NamedTuple, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -10,33 +10,25 @@ from numpy.typing import NDArray
 from cdcsr.compiled import compiled
 from cdcsr.robot.description import Robot
 from cdcsr.robot.routing import crossing, routing
+from cdcsr.simulation.plant import Parameters, Plant
 
 Array = NDArray[np.float64]
 Ints = NDArray[np.int64]
+Number = TypeVar("Number", np.float64, np.int64)
 
 _crossing = compiled()(crossing)
 
 
 class Rig(NamedTuple):
-    """The cables and hinges of a robot as plain arrays; C cables, J joints, H hinges."""
+    """The cables and hinges of one copy as plain arrays; C cables, J joints, H hinges.
 
-    plain: bool
-    """Whether every joint bends about x, then about y, and does not twist, and all cables run
-    straight along the arm."""
-    hinges: NDArray[np.int64]
-    """The numbers of each joint's hinges, the lowest first, shape (J, 3); -1 is no hinge."""
-    axes: NDArray[np.int64]
-    """The axis of each of these hinges: 0, 1, 2 for x, y, z; shape (J, 3)."""
+    :func:`unpacked` takes the numbers in this order, first those that are not whole.
+    """
+
     place: Array
     """Position across the arm, shape (C, 2), in [m]."""
     guide_offset: Array
     """Shape (C,), in [m]."""
-    joints: NDArray[np.int64]
-    """One more than the last joint that each cable crosses, shape (C,)."""
-    universal: bool
-    """Whether every joint bends about x, then about y, and does not twist."""
-    first: NDArray[np.int64]
-    """The first joint that each cable crosses, shape (C,)."""
     low: Array
     """The guides just below the joints, shape (C, J, 3), in [m]."""
     high: Array
@@ -65,42 +57,149 @@ class Rig(NamedTuple):
     """Shape (C,), in [N]."""
     force_limit: Array
     """The largest force of each servo, shape (C,), in [N]."""
-    coupled: NDArray[np.bool_]
-    """Whether a hinge always has the angle of others, shape (H,)."""
-    leader: NDArray[np.int64]
-    """The hinge whose angle each hinge always has, mostly its own, shape (H,)."""
     recovery_time: float
     """The time constant with which an excess of length decays, in [s]."""
+    base_inertia: Array
+    """Shape (3,), in [kg m^2]; this and what follows are a row of the copy's :class:`Plant`."""
+    link_inertia: Array
+    """Shape (J, 3), in [kg m^2]."""
+    stiffness: Array
+    """Shape (H,), in [N m/rad]."""
+    damping: Array
+    """Of sliders and hinges, shape (C + H,), in [N s/m] and [N m s/rad]."""
+    servo_gain: Array
+    """Shape (C,), in [N/m]; one for a tension servo."""
+    rest_length_offset: Array
+    """Shape (C,), in [m]."""
+    cable_compliance: Array
+    """Shape (C,), in [m/N]."""
+    plain: bool
+    """Whether every joint bends about x, then about y, and does not twist, and all cables run
+    straight along the arm."""
+    universal: bool
+    """Whether every joint bends about x, then about y, and does not twist."""
+    hinges: Ints
+    """The numbers of each joint's hinges, the lowest first, shape (J, 3); -1 is no hinge."""
+    axes: Ints
+    """The axis of each of these hinges: 0, 1, 2 for x, y, z; shape (J, 3)."""
+    joints: Ints
+    """One more than the last joint that each cable crosses, shape (C,)."""
+    first: Ints
+    """The first joint that each cable crosses, shape (C,)."""
+    leader: Ints
+    """The hinge whose angle each hinge always has, mostly its own, shape (H,)."""
 
 
-def rig(robot: Robot) -> Rig:
-    """Return the numbers of a robot that its tensions depend on and that no copy changes."""
-    route, leaders = routing(robot), np.array(robot.leaders)
-    return Rig(
-        plain=route.is_universal and route.parallel,
-        universal=route.is_universal,
-        first=route.first,
+def rig(robot: Robot, plant: Plant | None = None, copy: int = 0) -> Rig:
+    """Return the numbers that the tensions of a copy depend on.
+
+    Args:
+        robot: the description.
+        plant: how copies differ from it; by default they do not.
+        copy: the row of `plant`.
+    """
+    route = routing(robot)
+    made = Rig(
+        place=route.place,
+        guide_offset=route.guide_offset,
         low=route.low,
         high=route.high,
         chord=route.chord,
-        hinges=route.hinges,
-        axes=route.axes,
-        place=route.place,
-        guide_offset=route.guide_offset,
-        joints=route.joints,
         slider_offset=route.slider_offset,
         slider_mass=np.array([servo.mass for servo in robot.servos], dtype=float),
         bent=route.bent,
         rest=np.array(robot.start_angles),
         lower=np.array([-np.inf] * robot.num_cables + [h.lower for h in robot.hinges]),
         upper=np.array([s.stop for s in robot.servos] + [h.upper for h in robot.hinges]),
-        sign=np.array([s.sign for s in robot.servos]),
+        sign=np.array([s.sign for s in robot.servos], dtype=float),
         returns=np.array([float(servo.stiffness > 0) for servo in robot.servos]),
-        pretension=np.array([servo.pretension for servo in robot.servos]),
+        pretension=np.array([servo.pretension for servo in robot.servos], dtype=float),
         force_limit=np.array([servo.force_limit or np.inf for servo in robot.servos]),
-        coupled=np.isin(leaders, leaders[leaders != np.arange(len(leaders))]),
-        leader=leaders,
         recovery_time=robot.constraint.recovery_time,
+        **_row(Parameters().plant(robot, 1), 0),
+        plain=route.is_universal and route.parallel,
+        universal=route.is_universal,
+        hinges=route.hinges,
+        axes=route.axes,
+        joints=route.joints,
+        first=route.first,
+        leader=np.array(robot.leaders, dtype=int),
+    )
+    return made if plant is None else of_copy(made, plant, copy)
+
+
+def of_copy(rig: Rig, plant: Plant, copy: int) -> Rig:
+    """Return a rig with the numbers in a row of `plant`."""
+    return rig._replace(**_row(plant, copy))
+
+
+def _row(plant: Plant, copy: int) -> dict[str, Array]:
+    return {name: part[copy] for name, part in plant._asdict().items() if name in Rig._fields}
+
+
+class Packed(NamedTuple):
+    """The numbers of a rig in two arrays; Numba takes a fifth of a microsecond for each array that
+    a call brings."""
+
+    real: Array
+    whole: Ints
+
+
+def packed(rig: Rig) -> Packed:
+    """Return the numbers of a rig, from which :func:`unpacked` makes it again."""
+    cables, joints = rig.chord.shape
+    parts = [np.ravel(part) for part in rig]
+    count = Rig._fields.index("plain")
+    sizes = np.array([cables, joints, len(rig.rest)])
+    whole = np.concatenate([sizes, *parts[count:]]).astype(np.int64)
+    return Packed(np.concatenate(parts[:count]), whole)
+
+
+@compiled()
+def _take(numbers: NDArray[Number], place: Ints, count: int) -> NDArray[Number]:
+    """Return the next numbers, and move the place in `numbers` on."""
+    start = place[0]
+    place[0] += count
+    return numbers[start : place[0]]
+
+
+@compiled()
+def unpacked(numbers: Packed) -> Rig:
+    """Return the rig whose numbers :func:`packed` has put together; its arrays are views."""
+    real, whole = numbers
+    at, now = np.zeros(1, np.int64), np.full(1, 3)
+    c, j, h = whole[0], whole[1], whole[2]
+    return Rig(
+        _take(real, at, 2 * c).reshape(c, 2),
+        _take(real, at, c),
+        _take(real, at, 3 * c * j).reshape(c, j, 3),
+        _take(real, at, 3 * c * j).reshape(c, j, 3),
+        _take(real, at, c * j).reshape(c, j),
+        _take(real, at, c),
+        _take(real, at, c),
+        _take(real, at, c),
+        _take(real, at, h),
+        _take(real, at, c + h),
+        _take(real, at, c + h),
+        _take(real, at, c),
+        _take(real, at, c),
+        _take(real, at, c),
+        _take(real, at, c),
+        _take(real, at, 1)[0],
+        _take(real, at, 3),
+        _take(real, at, 3 * j).reshape(j, 3),
+        _take(real, at, h),
+        _take(real, at, c + h),
+        _take(real, at, c),
+        _take(real, at, c),
+        _take(real, at, c),
+        _take(whole, now, 1)[0] > 0,
+        _take(whole, now, 1)[0] > 0,
+        _take(whole, now, 3 * j).reshape(j, 3),
+        _take(whole, now, 3 * j).reshape(j, 3),
+        _take(whole, now, c),
+        _take(whole, now, c),
+        _take(whole, now, h),
     )
 
 

@@ -15,7 +15,7 @@ from backends.pybullet.cables import joint_forces
 from backends.pybullet.client import connect
 from backends.pybullet.equation import Equation
 from backends.pybullet.options import PybulletOptions
-from backends.pybullet.rig import rig
+from backends.pybullet.rig import of_copy, packed, rig
 from cdcsr.compiled import compiled
 from cdcsr.robot.description import Robot
 from cdcsr.robot.stability import highest_speeds, too_fast
@@ -65,6 +65,8 @@ class World:
         self._plant = Parameters().plant(robot, num)
         self._asked = self._equation.bodies(self._plant)
         self._rig, self._time_step = rig(robot), robot.time_step
+        self._step, self._motors = robot.time_step / options.substeps, options.servo == "motor"
+        self._numbers = [packed(self._rig)] * num
         self._loads = Loads(robot, num)
         self.time = np.zeros(num)
         self.position = np.zeros((num, 7 + robot.num_cables + robot.num_hinges))
@@ -72,6 +74,8 @@ class World:
         self._capstan, self._rubs = Capstan(robot), bool(self._plant.guide_friction.any())
         self._tails, self._bound = np.zeros((0, robot.num_hinges)), np.zeros(0)
         self.pulls = np.zeros((num, robot.num_cables + len(self._capstan.cable)))
+        self._tension, self._friction = np.split(self.pulls, [robot.num_cables], axis=1)
+        self._rates = self.velocity[:, 6:]
         self._force = np.zeros(robot.num_cables + robot.num_hinges)
         self._servo = np.zeros(robot.num_cables)
         self._fastest = highest_speeds(robot)
@@ -92,11 +96,12 @@ class World:
             mine[ids] = new
         for row, copy in enumerate(ids.tolist()):
             self._bodies[copy].set_plant(plant, row)
+            self._numbers[copy] = packed(of_copy(self._rig, plant, row))
         self._asked = self._equation.bodies(self._plant)
         self._rubs = bool(self._plant.guide_friction.any())
         if not self._rubs:
             self._tails, self._bound = self._tails[:0], self._bound[:0]
-            self.pulls[:, len(self._servo) :] = 0.0
+            self._friction[:] = 0.0
 
     def set_loads(self, loads: Loads) -> None:
         """Let loads act on all copies from the next step on."""
@@ -152,8 +157,7 @@ class World:
                     self._bodies, self.position, self.velocity, strict=True
                 ):
                     body.read(place, speed)
-            self.time += self._time_step
-            if not _within(self.velocity, self._fastest):
+            if not _advance(self.time, self._time_step, self.velocity, self._fastest):
                 for copy in np.flatnonzero(
                     ~(np.abs(self.velocity) <= self._fastest).all(axis=1)
                 ).tolist():
@@ -185,29 +189,25 @@ class World:
         if load is not None:
             turn = rotation_matrix(place[3:7]).T
             bias = bias - np.concatenate([turn @ load[3:6], turn @ load[:3], load[6:]])
-        cables = len(command)
         if self._rubs:
             self._bound_friction(copy)
         joint_forces(
-            self._rig,
-            self._plant,
-            copy,
+            self._numbers[copy],
             mass,
             bias,
             place[7:],
-            self.velocity[copy, 6:],
+            self._rates[copy],
             command,
-            self._time_step / self._options.substeps,
+            self._step,
             self._tails,
             self._bound,
-            self.pulls[copy, :cables],
-            self.pulls[copy, cables:],
+            self._tension[copy],
+            self._friction[copy],
+            self._motors,
             self._servo,
             self._force,
         )
-        if self._options.servo == "force":
-            self._force[: len(self._servo)] += self._servo
-        elif len(command):
+        if self._motors and len(command):
             body.drive(command.tolist(), np.abs(self._servo).tolist())
         if load is not None:
             self._force += load[6:]
@@ -240,8 +240,11 @@ def _disconnect(clients: list[int]) -> None:
 
 
 @compiled()
-def _within(velocity: Array, fastest: Array) -> bool:
-    """Whether every coordinate of every copy is a number and no faster than allowed."""
+def _advance(time: Array, step: float, velocity: Array, fastest: Array) -> bool:
+    """Add a step to the times of all copies, and return whether every coordinate is a number and no
+    faster than allowed."""
+    for copy in range(time.size):
+        time[copy] += step
     for row in velocity:
         for k in range(row.size):
             if not abs(row[k]) <= fastest[k]:

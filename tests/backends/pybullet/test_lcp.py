@@ -17,14 +17,14 @@ from backends.pybullet.lcp import (
 
 
 def test_a_factor_against_numpys() -> None:
-    """The rows below the matrix are solved along; of the matrix only the lower triangle is read."""
+    """The rows below the matrix are solved along; of the matrix only the upper triangle is read."""
     random = np.random.default_rng(0)
-    for size, rows in ((1, 0), (4, 1), (7, 3)):
+    for size, rows in ((1, 0), (1, 2), (4, 1), (7, 3)):
         root, below = random.normal(size=(size, size)), random.normal(size=(rows, size))
         matrix = root @ root.T + 0.1 * np.eye(size)
-        whole = np.concatenate([np.tril(matrix) + np.triu(np.full_like(matrix, 9.0), 1), below])
+        whole = np.concatenate([np.triu(matrix) + np.tril(np.full_like(matrix, 9.0), -1), below])
         inverse, expected = factor(whole), np.linalg.cholesky(matrix)
-        np.testing.assert_allclose(np.tril(whole[:size]), expected, rtol=1e-10, atol=1e-12)
+        np.testing.assert_allclose(np.triu(whole[:size]), expected.T, rtol=1e-10, atol=1e-12)
         np.testing.assert_allclose(inverse, 1 / np.diagonal(expected), rtol=1e-10)
         np.testing.assert_allclose(
             whole[size:], np.linalg.solve(expected, below.T).T, rtol=1e-9, atol=1e-10

@@ -18,7 +18,7 @@ from backends.pybullet.benchmarks import step_cost
 from backends.pybullet.dampers import stiff_dampers
 from backends.pybullet.equation import Equation
 from backends.pybullet.options import PybulletOptions, PybulletStockOptions
-from backends.pybullet.rig import rig
+from backends.pybullet.rig import of_copy, rig
 from backends.pybullet.simulation import PybulletSimulation, PybulletStock
 from backends.pybullet.workers import Pool
 from backends.pybullet.world import World
@@ -116,7 +116,7 @@ def test_no_explicit_damper_is_unstable(robot: Robot) -> None:
         bend = side if trial % 2 else random.uniform(-1, 1, robot.num_hinges)
         position = np.r_[np.zeros(3), 1.0, np.zeros(3 + sliders), bend * numbers.upper[sliders:]]
         mass = equation.dynamics(position[None], still[None], plant).mass_matrix[0]
-        stiff = stiff_dampers(numbers, plant, 0, position[7 + sliders :], step)
+        stiff = stiff_dampers(numbers, position[7 + sliders :], step)
         heavy = mass + step * np.diag(np.r_[np.zeros(6), stiff])
         shrink = np.linalg.eigvals(step * np.linalg.solve(heavy, damping)).real.max()
         worst = max(worst, float(shrink))
@@ -149,14 +149,12 @@ def test_a_damper_is_implicit_where_it_would_turn_two_bodies_too_fast(paper: Rob
                 inner = turn.T @ axis
                 shake = step * c * (1 / (axis @ lower @ axis) + 1 / (inner @ upper @ inner))
                 expected.append(shake > 0.5)
-        found = stiff_dampers(numbers, plant, 1, bend, step)
+        found = stiff_dampers(of_copy(numbers, plant, 1), bend, step)
         np.testing.assert_array_equal(found, np.where(expected, plant.damping[1], 0.0))
         implicit += np.count_nonzero(found)
     assert 0.3 < implicit / 30 / 32 < 0.9
-    twisting = numbers._replace(universal=False)  # links may be thin rods
-    np.testing.assert_array_equal(
-        stiff_dampers(twisting, plant, 1, np.zeros(24), step), plant.damping[1]
-    )
+    twisting = of_copy(numbers, plant, 1)._replace(universal=False)  # links may be thin rods
+    np.testing.assert_array_equal(stiff_dampers(twisting, np.zeros(24), step), plant.damping[1])
 
 
 def test_joint_speed_is_not_clamped(paper: Robot) -> None:
