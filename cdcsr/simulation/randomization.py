@@ -29,6 +29,11 @@ REST_LENGTH_OFFSET = 0.02
 those of another robot in proportion to its pitch radius."""
 ELASTIC = 2.0
 """At scale 1 the stiffness of elastic cables is multiplied as by a factor of :data:`FACTORS`."""
+SOFT = 1e-4
+"""At softness 1 the cables of a copy of the paper's robot stretch by up to this part of their
+length for each newton, uniform, in [1/N]; those of another robot by as much under the largest force
+of its servos. MuJoCo's default softness lets cables of `paper` be longer by 5e-5 of their length
+for each newton (median along ten demonstrations in `mujoco-stock`)."""
 ROUGH = 2.0
 """At scale 1 the friction of cables in their guides is multiplied likewise."""
 COMMAND_DELAY = 4
@@ -45,6 +50,7 @@ class Randomization:
         scale: 0 draws the description itself, 1 the ranges above; logarithms, offsets and delays
             are proportional to it.
         rng: a stream of its own, so that the targets do not depend on it.
+        softness: how soft the cables of a copy may be, as a multiple of :data:`SOFT`.
 
     Attributes:
         rng: that stream.
@@ -54,8 +60,16 @@ class Randomization:
         CdcsrError: the scale is out of range, or cables would become too short.
     """
 
-    def __init__(self, robot: Robot, num: int, scale: float, rng: np.random.Generator) -> None:
+    def __init__(
+        self,
+        robot: Robot,
+        num: int,
+        scale: float,
+        rng: np.random.Generator,
+        softness: float = 0.0,
+    ) -> None:
         check_scale(scale)
+        check_scale(softness)
         shortest = min(servo.stop for servo in robot.servos)
         self._offset = REST_LENGTH_OFFSET * ruler(robot).travel
         if scale * self._offset > shortest:
@@ -69,7 +83,8 @@ class Randomization:
         self.drawn["rest_length_offset"] = np.zeros((num, robot.num_cables))
         self.drawn["command_delay"] = np.zeros(num, np.int64)
         self._strain = np.array(robot.strain_by_tension)
-        if self._strain.any():
+        self._softest = softness * SOFT / ruler(robot).pull
+        if self._strain.any() or softness:
             self.drawn["cable_strain"] = np.zeros((num, robot.num_cables))
         self._friction = np.array(robot.guide_friction)
         if self._friction.any():
@@ -101,6 +116,9 @@ class Randomization:
         if self._strain.any():
             exponent = self.rng.uniform(-1, 1, (num, 1)) * self._scale
             drawn["cable_strain"] = (ELASTIC**exponent - 1) * self._strain
+        if self._softest:
+            soft = np.tile(self.rng.uniform(0, self._softest, (num, 1)), self._cables)
+            drawn["cable_strain"] = drawn.get("cable_strain", 0.0) + soft
         if self._friction.any():
             exponent = self.rng.uniform(-1, 1, (num, 1)) * self._scale
             drawn["guide_friction"] = (ROUGH**exponent - 1) * self._friction

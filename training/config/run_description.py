@@ -62,6 +62,9 @@ class RunDescription:
     randomize: float = 0.0
     """Domain randomization: every training episode has a plant of its own, drawn from the ranges of
     `cdcsr.simulation.randomization` times this scale; 0 is off."""
+    soften: float = 0.0
+    """In every training episode all cables stretch, by up to this times the largest strain of
+    `cdcsr.simulation.randomization`; 0 is off. The engine must know elastic cables."""
     demonstrations: Path | None = None
     """A dataset from `cdcsr demonstrate`; by default demonstrations are recorded."""
     num_demonstrations: int = 10
@@ -94,12 +97,18 @@ class RunDescription:
             check_count("frame_skip", self.frame_skip, MOST_SKIP)
         check_count("updates", self.updates, 1_000_000_000, least=0)
         check_scale(self.randomize)
+        check_scale(self.soften)
         object.__setattr__(self, "changes", tuple(sorted(self.changes)))
 
     @property
     def trains(self) -> bool:
         """Whether there is anything to train."""
         return self.algorithm not in (SCRIPTED, NEAREST)
+
+    @property
+    def randomized(self) -> bool:
+        """Whether the plants of training differ from the description."""
+        return self.randomize > 0 or self.soften > 0
 
     @property
     def task_numbers(self) -> dict[str, float]:
@@ -126,6 +135,8 @@ class RunDescription:
             parts.append(self.start)
         if self.randomize:
             parts.append(f"r{self.randomize:g}")
+        if self.soften:
+            parts.append(f"soft{self.soften:g}")
         parts += [f"{name}={value:g}" for name, value in self.task_numbers.items()]
         return "_".join([*parts, *(f"{name}={in_a_name(value)}" for name, value in self.changes)])
 
@@ -148,6 +159,8 @@ class RunDescription:
         dataset = None if self.demonstrations is None else str(self.demonstrations)
         for name in {"threshold", "seconds", "radius"} - set(self.task_numbers):
             del data[name]  # older records have no such number
+        if not self.soften:
+            del data["soften"]  # likewise
         if self.frame_skip is None and self.robot == "paper":
             data["frame_skip"] = 1  # the same
         return {**data, "demonstrations": dataset, "changes": dict(self.changes)}

@@ -79,6 +79,7 @@ Train a policy. To resume an interrupted run, give the same command again.
   --seed N                seed of everything random but the demonstrations (0)
   --demonstrations PATH   a dataset from `cdcsr demonstrate`; by default ten are recorded
   --randomize SCALE       domain randomization of the plant (0: off)
+  --soften SCALE          randomization of how far cables stretch (0: off)
   --evaluate-every N      updates between evaluations and checkpoints (1000)
   --stop-after MINUTES    stop; the run can be resumed
   --force                 begin anew in a folder that holds another run

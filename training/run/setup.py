@@ -76,11 +76,12 @@ class Setup:
                 f"symmetry must be off: the cables of {self.robot.name!r} have no mirror image."
             )
         if not isinstance(learner, Practising):
-            if config.randomize:
-                raise CdcsrError(
-                    f"randomize must be 0 for {config.algorithm}, which collects no episodes, not "
-                    f"{config.randomize:g}."
-                )
+            for name in ("randomize", "soften"):
+                if value := getattr(config, name):
+                    raise CdcsrError(
+                        f"{name} must be 0 for {config.algorithm}, which collects no episodes, not "
+                        f"{value:g}."
+                    )
             return
         if learner.discount == 1 and not task.ends:
             raise CdcsrError(
@@ -195,6 +196,7 @@ class Setup:
             "seed": config.seed,
             "frame_skip": self.frame_skip,
             "randomize": config.randomize,
+            **({"soften": config.soften} if config.soften else {}),
             "demonstrations": len(self.episodes),
             "changes": dict(changes),
             **more,

@@ -175,8 +175,10 @@ class Run:
             algorithm.show(*self.setup.pairs())
         noise, sample, hindsight, plants = np.random.default_rng(config.seed).spawn(4)
         randomization = None
-        if config.randomize:
-            randomization = Randomization(robot, learner.num_envs, config.randomize, plants)
+        if config.randomized:
+            randomization = Randomization(
+                robot, learner.num_envs, config.randomize, plants, config.soften
+            )
         env = self.setup.environment(learner.num_envs, config.space, randomization=randomization)
         if learner.practice > 0:
             env.space = wider_targets(env.space, learner.practice, robot)

@@ -8,6 +8,7 @@ import pytest
 from cdcsr.envs.gym_env import TaskVectorEnv
 from cdcsr.errors import CdcsrError
 from cdcsr.robot.description import Robot, load_robot
+from cdcsr.robot.routing import routing
 from cdcsr.simulation.engines import make_simulation
 from cdcsr.simulation.randomization import COMMAND_DELAY, FACTORS, REST_LENGTH_OFFSET, Randomization
 
@@ -41,6 +42,37 @@ def test_cables_of_a_small_robot_differ_by_as_much_less() -> None:
     """The pitch radius of the arm of 0.12 m is a twentieth of the paper's, 20 mm."""
     offset = _randomization(load_robot("bench-arm"), 200, 1.0)._draw(200)["rest_length_offset"]
     assert 0.99e-3 < np.abs(offset).max() <= 1e-3
+
+
+def test_soft_cables_stretch_and_nothing_else_changes(robot: Robot) -> None:
+    """All cables of a copy stretch alike, by up to 1e-4 of their length for each newton."""
+    plain = _randomization(robot, 500, 1.0)._draw(500)
+    random = np.random.default_rng(0)
+    soft = Randomization(robot, 500, 1.0, random, softness=2.0)._draw(500)
+    strain = soft.pop("cable_strain")
+    assert strain.shape == (500, robot.num_cables)
+    assert (strain == strain[:, :1]).all()
+    assert 0 <= strain.min() < 2e-6
+    assert 1.98e-4 < strain.max() <= 2e-4
+    assert plain.keys() == soft.keys()
+    for name, values in plain.items():
+        np.testing.assert_array_equal(values, soft[name])
+
+
+def test_a_softened_cable_stretches_by_its_tension_in_a_simulation(robot: Robot) -> None:
+    simulation = make_simulation(robot, "mujoco", 2)
+    randomization = Randomization(robot, 2, 0.0, np.random.default_rng(3), softness=1.0)
+    randomization.begin(simulation, np.arange(2))
+    command = np.zeros((2, robot.num_cables))
+    command[:, 0] = -1.0
+    simulation.step(command, 2000)
+    excess = simulation.dynamics().cable_length[:, 0] - routing(robot).rest_length[0]
+    tension = simulation.state().cable_tension[:, 0]
+    simulation.close()
+    assert (tension > 1).all()
+    strain = randomization.drawn["cable_strain"][:, 0]
+    np.testing.assert_allclose(excess, strain * routing(robot).rest_length[0] * tension, rtol=1e-3)
+    assert excess[0] != excess[1]
 
 
 def test_only_copies_that_begin_an_episode_get_a_new_plant(robot: Robot) -> None:

@@ -45,6 +45,7 @@ def trained(
     changes: Changes = (),
     demonstrations: int = 10,
     randomize: float = 0.0,
+    soften: float = 0.0,
     start: StartName = "still",
     more_seeds: int = 0,
 ) -> Cell:
@@ -57,6 +58,7 @@ def trained(
         task=task,
         num_demonstrations=demonstrations,
         randomize=randomize,
+        soften=soften,
         start=start,
         changes=changes,
     )

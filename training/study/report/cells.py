@@ -147,6 +147,8 @@ def who(setting: RunDescription) -> str:
         parts.append(
             "randomized plants" + ("" if setting.randomize == 1 else f" × {setting.randomize:g}")
         )
+    if setting.soften:
+        parts.append("soft cables" + ("" if setting.soften == 1 else f" × {setting.soften:g}"))
     if setting.start != "still":
         parts.append(f"start {setting.start}")
     return ", ".join([algorithm_title(setting.algorithm), *parts])

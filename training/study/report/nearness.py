@@ -234,6 +234,6 @@ def _as_shown(run: Run) -> bool:
         s.preset == "tuned"
         and s.num_demonstrations == DEMONSTRATIONS
         and not s.changes
-        and not s.randomize
+        and not s.randomized
     )
     return s.space in TOLD and (plain or s.algorithm == JACOBIAN)

@@ -39,6 +39,7 @@ def order(setting: RunDescription) -> tuple[object, ...]:
         setting.preset,
         changes,
         setting.randomize,
+        setting.soften,
         setting.num_demonstrations,
         setting.updates,
         setting.backend,
@@ -56,7 +57,7 @@ def is_plain(setting: RunDescription) -> bool:
 def is_usual(setting: RunDescription) -> bool:
     """Return whether a run is as in the paper, but for changed numbers of the learner."""
     shown = setting.num_demonstrations == DEMONSTRATIONS or setting.algorithm == JACOBIAN
-    return is_of_paper(setting) and shown and not setting.randomize
+    return is_of_paper(setting) and shown and not setting.randomized
 
 
 def is_of_paper(setting: RunDescription) -> bool:

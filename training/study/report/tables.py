@@ -84,7 +84,7 @@ def counted(runs: Iterable[Run]) -> list[Run]:
         run
         for run in plain
         if run.setting.space == "anchor" and run.setting.algorithm in COUNTED
-        if not run.setting.randomize
+        if not run.setting.randomized
     ]
 
 
