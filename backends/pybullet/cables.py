@@ -214,6 +214,17 @@ def _servo_forces(rig: Rig, command: Array, travel: Array) -> Array:
 
 
 @compiled()
+def _drive(
+    rig: Rig, bias: Array, velocity: Array, servo: Array, force: Array, drive: Array
+) -> None:
+    """Fill in all that moves sliders, hinges and base but cables, limits and linkages."""
+    moving = velocity.size
+    drive[:moving] = force - rig.damping * velocity - bias[6:]
+    drive[: servo.size] += servo
+    drive[moving:] = -bias[:6]
+
+
+@compiled()
 def joint_forces(
     numbers: Packed,
     mass: Array,
@@ -265,8 +276,7 @@ def joint_forces(
         limited = _first_of_each(rig.leader, limited, cables)
     count = cables + limited.size
     whole = np.zeros((size + 1 + count + followers.size + bound.size, size))
-    moving = size - 6
-    rows = whole[size + 1 :, :moving]
+    rows = whole[size + 1 :, : velocity.size]
     excess = cable_rows(rig, joints[:cables], hinges, rows)
     slack, pull = np.empty(count), np.zeros(count)
     _cable_slack(rig, excess, step, slack)
@@ -278,10 +288,8 @@ def joint_forces(
     rows[count + followers.size :, cables:] = tails
 
     stiff = step * stiff_dampers(rig, hinges, step)
-    whole[size, :moving] = force - rig.damping * velocity - bias[6:]
-    whole[size, :cables] += servo
-    whole[size, moving:] = -bias[:6]
     fill_mass(whole, mass, stiff)
+    _drive(rig, bias, velocity, servo, force, whole[size])
     pushes = rows.copy()
     inverse = factor(whole)
     pull[:cables] = tension

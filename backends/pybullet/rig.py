@@ -60,13 +60,13 @@ class Rig(NamedTuple):
     recovery_time: float
     """The time constant with which an excess of length decays, in [s]."""
     base_inertia: Array
-    """Shape (3,), in [kg m^2]; this and what follows are a row of the copy's :class:`Plant`."""
+    """Shape (3,), in [kg m^2]; this and the numbers below are a row of :class:`Plant`."""
     link_inertia: Array
     """Shape (J, 3), in [kg m^2]."""
     stiffness: Array
     """Shape (H,), in [N m/rad]."""
     damping: Array
-    """Of sliders and hinges, shape (C + H,), in [N s/m] and [N m s/rad]."""
+    """The dampers of sliders and hinges, shape (C + H,), in [N s/m] and [N m s/rad]."""
     servo_gain: Array
     """Shape (C,), in [N/m]; one for a tension servo."""
     rest_length_offset: Array

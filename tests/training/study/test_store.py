@@ -8,6 +8,7 @@ import json
 import shutil
 from hashlib import sha256
 from pathlib import Path
+from typing import cast
 
 import numpy as np
 import pyarrow.parquet as pq
@@ -86,7 +87,9 @@ def test_equal_numbers_of_learners_are_stored_once(work: Path, tmp_path: Path) -
     pack(work, store)
     lines = [json.loads(line) for line in (store / "learners.jsonl").read_text().splitlines()]
     assert sorted(line["critics"] for line in lines) == [2, 5]
-    critics = {name: run.record["learner"]["critics"] for name, run in read_results(store).items()}  # type: ignore[index]
+    records = {name: run.record for name, run in read_results(store).items()}
+    learners = {name: cast(dict[str, int], record["learner"]) for name, record in records.items()}
+    critics = {name: learner["critics"] for name, learner in learners.items()}
     assert critics == {"one": 2, "two": 2, "three": 5}
 
 
