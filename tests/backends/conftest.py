@@ -11,6 +11,19 @@ from cdcsr.robot.description import Robot, load_robot
 from cdcsr.simulation.engines import backend_names, load_backend
 
 
+@pytest.hookimpl(tryfirst=True)
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Leave most physics of `pybullet-stock` to the slow tests: it shares its kernels with
+    `pybullet`, and the contract's tests have it with every robot."""
+    for item in items:
+        given = getattr(item, "callspec", None)
+        if given is None or "tests/backends/physics/" not in item.nodeid:
+            continue
+        engines = [value for name, value in given.params.items() if name.endswith("engine")]
+        if "pybullet-stock" in str(engines) and given.params.get("robot") != "planar-single":
+            item.add_marker(pytest.mark.slow)
+
+
 @pytest.fixture(params=backend_names())
 def engine(request: pytest.FixtureRequest) -> str:
     return request.param

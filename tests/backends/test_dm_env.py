@@ -66,7 +66,7 @@ def test_every_task_is_that_of_gymnasium(
     """The same seed and the same commands give the same bits, in two episodes, the first of which
     begins at rest. With a threshold of 9 m every task that ends succeeds."""
     robot = load_robot("paper")
-    options = {"frame_skip": frame_skip, "max_steps": 80, "threshold": threshold, "reward": "dense"}
+    options = {"frame_skip": frame_skip, "max_steps": 40, "threshold": threshold, "reward": "dense"}
     ours = make_dm_environment(task, robot, engine, seed=7, **options)
     theirs = TaskEnv(task=task, robot=robot, backend=engine, **options)
     rng, ends = np.random.default_rng(0), []
@@ -74,7 +74,7 @@ def test_every_task_is_that_of_gymnasium(
         step = ours.reset()
         observation, _ = theirs.reset(seed=None if episode else 7)
         np.testing.assert_array_equal(joined(step), observation)
-        for _ in range(100):
+        for _ in range(50):
             action = rng.uniform(-6, 1, 8) * episode
             step = ours.step(action)
             observation, reward, terminated, truncated, _ = theirs.step(action)

@@ -15,9 +15,13 @@ from controllers.rollout import rollout
 from tests.support.controllers import Stepper
 
 
-@pytest.mark.parametrize("backend", backend_names())
 @pytest.mark.parametrize(
-    ("robot", "least"), [("paper", 8), ("three-segment", 8), ("three-cable", 7)]
+    ("robot", "least", "backend"),
+    [
+        pytest.param(*case, name, marks=pytest.mark.slow if name.endswith("-stock") else ())
+        for case in (("paper", 8), ("three-segment", 8), ("three-cable", 7))
+        for name in backend_names()
+    ],
 )
 def test_reaches_anchor_targets(backend: str, robot: str, least: int) -> None:
     env = TaskVectorEnv(8, robot, backend, "anchor", autoreset_mode="Disabled")

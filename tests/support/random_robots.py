@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 
 from cdcsr.robot.description import Robot
 
-few = settings(max_examples=12, deadline=None, derandomize=True, database=None)
+few = settings(max_examples=8, deadline=None, derandomize=True, database=None)
 many = settings(max_examples=200, deadline=None, database=None)
 
 

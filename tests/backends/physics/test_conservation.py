@@ -93,13 +93,13 @@ def test_an_idle_robot_stays_where_it_is(robot: Robot, engine: str) -> None:
 
 
 def largest_rise(coarse: Robot, engine: str, divide: int, seed: int) -> float:
-    """Return how far the energy rises above its lowest value before, relative to the start, in 0.4
-    s."""
+    """Return how far the energy rises above its lowest value before, relative to the start, in
+    0.3 s."""
     robot, command = finer(coarse, divide), commands_of(coarse, 1, seed=seed)[0]
     with running(robot, engine) as simulation:
         start = lowest = energy(robot, simulation, command)[0]
         now, rise = start, 0.0
-        for _ in range(round(0.4 / coarse.time_step)):
+        for _ in range(round(0.3 / coarse.time_step)):
             simulation.step(command, divide)
             now = energy(robot, simulation, command)[0]
             rise, lowest = max(rise, now - lowest), min(lowest, now)

@@ -34,7 +34,7 @@ def test_cables_pull_only_when_taut_and_hardly_stretch(robot: Robot, engine: str
     most = 0.0
     with running(robot, engine, robot.num_cables) as simulation:
         before = slack(robot, simulation)
-        for state, after in pulled(robot, simulation, 0.6):
+        for state, after in pulled(robot, simulation, 0.4):
             assert state.cable_tension.min() >= 0
             assert (state.cable_tension * np.minimum(before, after).clip(0)).max() < 1e-3  # [N m]
             most, before = max(most, -after.min()), after
@@ -108,7 +108,7 @@ def test_cables_pass_on_all_the_work(robot: Robot, stiff_engine: str) -> None:
     taken, done = np.zeros_like(still), np.zeros_like(still)
     with running(robot, stiff_engine, robot.num_cables) as simulation:
         last = simulation.state()
-        for state, _ in pulled(robot, simulation, 0.4):
+        for state, _ in pulled(robot, simulation, 0.3):
             pulled_in = last.cable_travel - state.cable_travel  # a pull is a negative travel
             taken += state.cable_tension * pulled_in
             lengths = [cable_lengths(route, still, each.joint_angles) for each in (last, state)]

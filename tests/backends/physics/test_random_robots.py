@@ -89,6 +89,8 @@ def one_step_obeys_the_equation(robot: Robot) -> None:
     quick = changed(robot, time_step=1e-6, constraint={"recovery_time": 1e-5})
     start, cables, random = moving(quick, 2, bend=0.4), robot.num_cables, np.random.default_rng(1)
     travel, pull = start.position[:, 7 : 7 + cables], [servo.pretension for servo in robot.servos]
+    stops = [servo.offset - servo.radius for servo in robot.servos]
+    np.minimum(travel, 0.9 * np.array(stops), out=travel)  # no slider is past its guide
     by_travel = np.array([servo.stiffness for servo in robot.servos])
     idle = np.where(by_travel > 0, travel + pull / np.maximum(by_travel, 1e-9), np.negative(pull))
     for engine in ("mujoco", "mujoco-stock", "pybullet"):

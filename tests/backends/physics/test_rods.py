@@ -76,11 +76,11 @@ def test_a_cable_bends_a_rod_into_the_constant_curvature_arc(engine: str, make: 
     if "soft_cables" in load_backend(engine).capabilities:
         pytest.skip("a soft cable gives way by more than this pull")
     off = []
-    for links in (4, 8, 16):
+    for links in (3, 6, 12):
         cables = CABLES["cables"] | {"guide_offset": 0.02 * LENGTH / links}
         robot = rod_robot(links, TUBE, parts=CABLES | {"cables": cables}, time_step=0.0005)
         simulation = make(engine, robot)
-        simulation.step(np.array([[-0.06, 0.05, 0.05]]), 6000)
+        simulation.step(np.array([[-0.06, 0.05, 0.05]]), 4000)
         state = simulation.state()
         assert np.abs(state.joint_rates).max() < 1e-4
         tension = state.cable_tension[0]
@@ -90,7 +90,7 @@ def test_a_cable_bends_a_rod_into_the_constant_curvature_arc(engine: str, make: 
         arc = np.array([1 - np.cos(bend), 0, np.sin(bend)]) * LENGTH / bend
         off.append(np.linalg.norm(state.tip_position[0] - (0, 0, robot.top) - arc))
     assert bend > 0.6
-    assert off[-1] < 7e-4
+    assert off[-1] < 1.2e-3
     assert np.abs(np.log2(np.array(off[:-1]) / off[1:]) - 2).max() < 0.2
 
 

@@ -56,7 +56,7 @@ def at_rest(robot: Robot, engine: str, command: Array) -> tuple[State, float]:
     """Return the state after a long time under constant commands, and by how much a cable may be
     longer than at rest under the largest tension, in [m]; no cable is longer."""
     with running(robot, engine, len(command)) as simulation:
-        simulation.step(command, round(25 / swing(robot) / robot.time_step))
+        simulation.step(command, round(18 / swing(robot) / robot.time_step))
         state = simulation.state()
         assert np.abs(state.joint_rates).max() < 1e-3
         allowed = stretch(simulation, state.cable_tension.max())
@@ -251,7 +251,7 @@ def test_many_short_links_bend_into_the_textbooks_arc(stiff_engine: str) -> None
     that falls as 1 / links.
     """
     off, bend = [], 0.0
-    for num in (4, 8, 16):
+    for num in (3, 6, 12):
         robot = chain_of(num)
         state, _ = at_rest(robot, stiff_engine, np.array([[-0.5, 0.1, 0.1]]))
         bend = -state.cable_travel[0, 0] / 0.02
@@ -266,6 +266,6 @@ def test_many_short_links_bend_into_the_textbooks_arc(stiff_engine: str) -> None
         tip = base.inv().apply(state.tip_position[0] - state.base_position[0])
         off.append(float(np.linalg.norm(tip - arc)))
     assert bend > 1
-    assert off[2] < 0.05
+    assert off[2] < 0.06
     orders = np.log2(np.array(off[:-1]) / off[1:])
     assert ((orders > 0.8) & (orders < 1.3)).all()

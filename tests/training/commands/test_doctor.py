@@ -51,7 +51,11 @@ def test_a_broken_environment_is_told_with_remedies(tmp_path: Path) -> None:
     told = {f["name"]: f for f in json.loads((tmp_path / "found.json").read_text())["findings"]}
     for name, found, remedy in (
         ("torch", "no libtorch", "pip install --force-reinstall torch"),
-        ("pybullet-stock", "makes no step: ImportError: no libbullet", "the package that brings this engine"),
+        (
+            "pybullet-stock",
+            "makes no step: ImportError: no libbullet",
+            "the package that brings this engine",
+        ),
         ("OpenGL (MuJoCo)", "does not draw (MUJOCO_GL=glfw)", "MUJOCO_GL="),
         ("processors", "OMP_NUM_THREADS=many", "Set OMP_NUM_THREADS to a whole number"),
         ("compiled code", "every process compiles anew", "Set NUMBA_CACHE_DIR"),

@@ -54,7 +54,7 @@ def exported(policy: str, folder: Path, dtype: str = "float32") -> Path:
 def states(name: str) -> tuple[State, NDArray[np.float64]]:
     """Return 10,000 states of 500 copies of a robot that move, and their targets."""
     robot = load_robot(name)
-    env = TaskVectorEnv(500, robot, "mujoco", "floating", frame_skip=5)
+    env = TaskVectorEnv(500, robot, "mujoco", "floating", frame_skip=2)
     env.reset(seed=0)
     rng, low = np.random.default_rng(0), [-servo.eta for servo in robot.servos]
     found, targets = [], []

@@ -10,7 +10,9 @@ from cdcsr.errors import CdcsrError
 from training.measure.statistics import Estimate
 from training.report import report
 from training.study.report.cells import Spread, Table
+from training.study.report.contents import other_tables, paper_tables
 from training.study.report.docs_page import render
+from training.study.report.records import load_study
 
 ROOT = Path(__file__).parents[4]
 TABLES = {
@@ -69,15 +71,26 @@ def test_a_reference_to_nothing_is_named(reference: str, message: str) -> None:
         render(reference, TABLES)
 
 
+@pytest.fixture(scope="module")
+def tables() -> dict[str, Table]:
+    """All tables of the results."""
+    runs = load_study(ROOT / "results")
+    return {one.name: one for one in (*paper_tables(runs), *other_tables(runs, ROOT / "results"))}
+
+
 @pytest.mark.parametrize("page", sorted(one.name for one in (ROOT / "docs").glob("*.md.in")))
-def test_pages_have_the_numbers_of_the_results(page: str, tmp_path: Path) -> None:
-    template = tmp_path / page
-    template.write_bytes((ROOT / "docs" / page).read_bytes())
-    report(results=ROOT / "results", docs=template)
-    made = template.with_suffix("").read_text("utf-8")
-    assert made == (ROOT / "docs" / page).with_suffix("").read_text("utf-8"), (
-        f"run `python -m training.report --docs docs/{page}`"
-    )
+def test_pages_have_the_numbers_of_the_results(page: str, tables: dict[str, Table]) -> None:
+    template = ROOT / "docs" / page
+    assert render(template.read_text("utf-8"), tables) == template.with_suffix("").read_text(
+        "utf-8"
+    ), f"run `python -m training.report --docs docs/{page}`"
+
+
+def test_the_page_of_a_template_is_written_beside_it(study: Path, tmp_path: Path) -> None:
+    template = tmp_path / "page.md.in"
+    template.write_text("{{usual space=Anchor}}No number.")
+    report(results=study, docs=template)
+    assert (tmp_path / "page.md").read_text() == "No number."
 
 
 def test_a_page_that_is_no_template_is_refused(study: Path, tmp_path: Path) -> None:
