@@ -25,7 +25,6 @@ import signal
 import sys
 import tempfile
 import time
-from collections import defaultdict
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from py_compile import PycInvalidationMode
@@ -35,12 +34,14 @@ import pytest
 from cosmic_ray.ast import ast_nodes, get_ast  # type: ignore[import-not-found]
 from cosmic_ray.mutating import mutate_code  # type: ignore[import-not-found]
 from cosmic_ray.plugins import get_operator, operator_names  # type: ignore[import-not-found]
-from coverage import Coverage
+
+from tests.support.reach import Chosen, Reach
 
 ROOT = Path(__file__).parents[2]
 PHYSICS = "tests/backends/physics/test_"
 ENGINES = f"tests/backends/contract {PHYSICS}analytic.py {PHYSICS}coupling.py {PHYSICS}servos.py "
 ENGINES += f"{PHYSICS}elastic_cables.py {PHYSICS}rods.py "
+ENGINES += f"{PHYSICS}constraints.py::test_a_step_is_the_solution_of_its_conditions "
 PACKAGES: dict[str, str] = {
     "cdcsr/robot": ENGINES + "tests/cdcsr/robot tests/backends/export tests/backends/mujoco "
     "tests/training/commands/test_new_robot.py",
@@ -65,9 +66,9 @@ LEFT_OUT = ("benchmarks.py", "model_choices.py")
 """Files that only measure speed, which fast tests do not."""
 LOADED = "numpy scipy.optimize torch mujoco pybullet numba pydantic gymnasium minari"
 """Packages that are loaded once, before the processes of the tests part from this one."""
-BUDGET, TIMEOUT = 30.0, 300.0
+BUDGET, TIMEOUT = 30.0, 600.0
 """Seconds of tests, by their time without a change, that a change gets; and seconds after which one
-that keeps the tests busy counts as noticed."""
+that keeps the tests busy, compiling too, counts as noticed, which is said."""
 
 
 class Mutant(NamedTuple):
@@ -158,48 +159,6 @@ def sample(package: str, num: int, seed: int) -> tuple[list[Mutant], int]:
     return chosen, len(everything)
 
 
-class Reach:
-    """A plugin of pytest that finds which tests run which lines, and how long each takes."""
-
-    def __init__(self) -> None:
-        self.coverage = Coverage(data_file=None, source=[str(Path.cwd())], branch=False)
-        self.seconds: dict[str, float] = defaultdict(float)
-        self.coverage.start()
-
-    @pytest.hookimpl(wrapper=True)
-    def pytest_runtest_protocol(self, item: pytest.Item) -> Iterator[None]:
-        self.coverage.switch_context(item.nodeid)
-        result = yield
-        self.coverage.switch_context("")
-        return result
-
-    def pytest_runtest_logreport(self, report: pytest.TestReport) -> None:
-        self.seconds[report.nodeid] += report.duration
-
-    def save(self, file: Path) -> None:
-        """Write the seconds of each test, and the tests of each line of each file."""
-        self.coverage.stop()
-        data = self.coverage.get_data()
-        lines = {
-            str(Path(name).relative_to(Path.cwd())): data.contexts_by_lineno(name)
-            for name in data.measured_files()
-        }
-        file.write_text(json.dumps({"seconds": self.seconds, "lines": lines}), "utf-8")
-
-
-class Chosen:
-    """A plugin of pytest that runs the chosen tests only, in their order."""
-
-    def __init__(self, tests: list[str]) -> None:
-        self._place = {test: place for place, test in enumerate(tests)}
-
-    def pytest_collection_modifyitems(self, items: list[pytest.Item]) -> None:
-        items[:] = sorted(
-            (each for each in items if each.nodeid in self._place),
-            key=lambda each: self._place[each.nodeid],
-        )
-
-
 class Copy:
     """A copy of the project, in which the tests of a package find a change or do not."""
 
@@ -221,9 +180,10 @@ class Copy:
         found = json.loads((folder / "reach.json").read_text("utf-8"))
         self._seconds, self._lines = found["seconds"], found["lines"]
 
-    def tests(self, mutant: Mutant) -> list[str]:
-        """Return the tests that run the changed line, or, if it runs at import or compiled, those
-        that run the file or all; first from files that name it, then from its room, by time."""
+    def tests(self, mutant: Mutant) -> tuple[list[str], int]:
+        """Return tests that run the changed line, or, if it runs at import or compiled, that run
+        the file or all; first from files that name it, then from its room, by time. The second
+        value is how many there would be without a budget."""
         lines = self._lines.get(mutant.file, {})
         every = [{test for test in tests if test} for tests in lines.values()]
         exact = {test for test in lines.get(str(mutant.line), []) if test}
@@ -242,21 +202,38 @@ class Copy:
             if chosen and total > BUDGET:
                 break
             chosen.append(test)
-        return chosen
+        return chosen, len(reached)
+
+    def _machine_code(self, file: str) -> Path:
+        """Return a folder with the compiled functions but those of a file and its callers, which
+        hold the machine code of what they call."""
+        stale, before = {Path(file).stem}, 0
+        while len(stale) > before:
+            before = len(stale)
+            calls = re.compile(rf"from [\w.]+\.({'|'.join(stale)}) import")
+            for path in self._folder.glob("*/*/*.py"):
+                if calls.search(code := path.read_text("utf-8")) and "@compiled" in code:
+                    stale.add(path.stem)
+        cache = Path(tempfile.mkdtemp(dir=self._folder))
+        old = shutil.ignore_patterns(*(f"{stem}.*" for stem in stale))
+        shutil.copytree(self._folder / ".numba", cache, ignore=old, dirs_exist_ok=True)
+        return cache
 
     def notices(self, mutant: Mutant) -> bool:
         """Return whether a test fails with a change."""
         place = self._folder / mutant.file
         before, times = place.read_bytes(), place.stat()
-        tests = self.tests(mutant)
+        tests, _ = self.tests(mutant)
         files = sorted(set(map(_file_of, tests)))
         options = ["-q", "-x", "-p", "no:cacheprovider", *files]
         cache = self._folder / ".numba"
-        if "@compiled" in mutant.code:  # compiled callers hold the machine code of what they call
-            cache = Path(tempfile.mkdtemp(dir=self._folder))
+        if "@compiled" in mutant.code:
+            cache = self._machine_code(mutant.file)
         place.write_text(mutant.code, "utf-8")
         try:
             code = self._forked(lambda: int(pytest.main(options, [Chosen(tests)])), TIMEOUT, cache)
+            if code == 99:
+                print(f"  tests were busy until the end: {mutant.file}:{mutant.line}", flush=True)
             return code != 0
         finally:
             place.write_bytes(before)
@@ -335,8 +312,12 @@ def main() -> None:
                 if copy.notices(mutant):
                     noticed += 1
                 else:
-                    place = f"{mutant.file}:{mutant.line}"
-                    print(f"  {place} {mutant.operator}: {mutant.text}", flush=True)
+                    tests, reached = copy.tests(mutant)
+                    print(
+                        f"  {mutant.file}:{mutant.line} {mutant.operator}: {mutant.text} "
+                        f"({len(tests)} of {reached} tests)",
+                        flush=True,
+                    )
             if tried:
                 low, high = wilson(noticed, tried)
                 print(

@@ -7,11 +7,19 @@ from collections.abc import Iterator
 
 import numpy as np
 import pytest
+from scipy.optimize import nnls
 
-from backends.contract_suite.states import STRETCH, commands_of, moving, running, stretch
+from backends.contract_suite.states import (
+    STRETCH,
+    at,
+    commands_of,
+    moving,
+    running,
+    stretch,
+)
 from cdcsr.robot.description import Robot, load_robot
 from cdcsr.robot.routing import cable_lengths, routing
-from cdcsr.simulation.contract import Array, Simulation, State
+from cdcsr.simulation.contract import Array, Dynamics, Simulation, State
 from cdcsr.simulation.plant import Parameters
 from tests.support.physics import changed, slack, with_parts
 
@@ -142,3 +150,95 @@ def test_the_tensions_reported_are_those_that_act(robot: Robot, engine: str) -> 
     force -= np.einsum("nci,nc->ni", before.cable_jacobian, tension)
     expected = np.linalg.solve(before.mass_matrix, force[..., None])[..., 0]
     np.testing.assert_allclose(acceleration, expected, atol=3e-4 * np.abs(expected).max())
+
+
+def variants() -> dict[str, Robot]:
+    """Return robots that have between them all that a step depends on but friction of guides."""
+    paper, coupled = load_robot("paper"), load_robot("paper-coupled")
+    tilted = {"position": (1.0, 2.0, 3.0), "quaternion": (0.6, 0.0, 0.8, 0.0)}
+    fixed = paper.model_dump()["base"] | tilted | {"mount": "fixed"}
+    pulls = {"kind": "tension", "gain": None, "eta": None, "largest_tension": 250.0}
+    lower, upper = paper.model_dump()["segments"]
+    helix = {"angle_deg": 10.0, "end_pitch_radius": 0.01, "twist_deg": 200.0}
+    led = {"angle_deg": 130.0, "first_link": 2, "last_link": 5, "twist_deg": -50.0}
+    ways = lower["cables"] | {"angles_deg": (10.0, 130.0), "paths": (helix, led)}
+    torsion = {"stiffness": 1.0, "damping": 0.1, "limit": 0.9}
+    twisting = lower["joint"] | {"order": "yx", "torsion": torsion, "rest": (0.1, -0.2)}
+    held = {"pretension": 3.0, "force_limit": 12.0}
+    curved = lower | {"joint": twisting, "cables": ways, "servo": lower["servo"] | held}
+    return {
+        "plain": paper,
+        "coupled": changed(coupled, gravity=(1.0, -2.0, -9.0)),
+        "elastic": with_parts(changed(paper, base=fixed), cables={"axial_stiffness": 3e3}),
+        "tension": with_parts(load_robot("planar-single"), servo=pulls | {"force_limit": 200.0}),
+        "curved": changed(paper, segments=[curved, upper], gravity=(0.0, 3.0, 0.0)),
+    }
+
+
+def by_hand(
+    robot: Robot, equation: Dynamics, travel: Array, command: Array, longer: Array
+) -> tuple[Array, Array]:
+    """Return tensions and velocity after a step h of one copy: M a = f - L' t, where no cable ends
+    the step longer than at rest, but elastic ones by c t. What is longer already gets shorter with
+    the recovery time. Non-negative least squares finds t: with G G' = A and G y = b it minimizes
+    |G' t - y|, so 0 <= t complementary to A t >= b.
+
+    Args:
+        robot: all its joints are inside their limits, and have no dampers.
+        equation: at the start of the step.
+        travel, command: of the copy, shape (C,).
+        longer: is added to the rest lengths, shape (C,), in [m].
+    """
+    step, cables, free = robot.time_step, robot.num_cables, np.eye(robot.num_coordinates)
+    for hinge, leader in enumerate(robot.leaders):  # columns of hinges that move alike are added
+        free[6 + cables + hinge] = np.eye(len(free))[6 + cables + leader]
+    free = free[:, free.any(axis=0)]
+    if robot.base.mount == "fixed":
+        free = free[:, 6:]
+    force = equation.passive_force[0] - equation.bias_force[0]
+    for c, servo in enumerate(robot.servos):
+        pull = servo.gain * (servo.sign * command[c] - (servo.stiffness > 0) * travel[c])
+        most = np.inf if servo.force_limit is None else servo.force_limit
+        force[6 + c] += np.clip(pull - servo.pretension, -most, most)
+    mass, rows = free.T @ equation.mass_matrix[0] @ free, equation.cable_jacobian[0] @ free
+    idle, across = np.linalg.solve(mass, free.T @ force), np.linalg.solve(mass, rows.T)
+    gap = routing(robot).rest_length + longer - equation.cable_length[0]
+    soft = np.array(robot.strain_by_tension) * (routing(robot).rest_length + longer)
+    slow = (gap < 0) & (soft == 0)
+    room = gap / np.where(slow, robot.constraint.recovery_time, step)
+    speed = equation.cable_jacobian[0] @ equation.velocity[0]
+    wanted = (speed + step * rows @ idle - room) / step
+    root = np.linalg.cholesky(rows @ across + np.diag(soft / step**2))
+    tension, _ = nnls(root.T, np.linalg.solve(root, wanted), maxiter=1000)
+    return tension, equation.velocity[0] + step * free @ (idle - across @ tension)
+
+
+@pytest.mark.parametrize("name", variants())
+@pytest.mark.parametrize("engine", ["mujoco", "pybullet"])
+def test_a_step_is_the_solution_of_its_conditions(engine: str, name: str) -> None:
+    """Tensions and velocities are those of non-negative least squares, step after step, with slack,
+    taut and too long cables, and servos at their limits. Constraints of MuJoCo have an impedance
+    of 0.9999, so that they are a little soft."""
+    robot, random, pulling = variants()[name], np.random.default_rng(3), 0
+    start, cables = moving(robot, 1, bend=0.2), robot.num_cables
+    leaders, exact = list(robot.leaders), 1e-7 if engine == "pybullet" else 5e-3
+    for part, before in ((start.position, 7), (start.velocity, 6)):
+        part[:, before + cables :] = part[:, before + cables :][:, leaders]
+    start.position[:, 7 : 7 + cables] += 0.02
+    longer = random.uniform(-2e-3, 2e-3, cables)
+    if robot.base.mount == "fixed":
+        start.velocity[:, :6] = 0
+    with running(robot, engine) as simulation:
+        free = Parameters(joint_damping=0.0, slider_damping=0.0, rest_length_offset=longer[None])
+        simulation.set_parameters(None, free)
+        simulation.set_snapshot(at(robot, start.position, start.velocity))
+        for command in commands_of(robot, 25, 1, hold=3)[:, 0]:
+            equation, travel = simulation.dynamics(), simulation.state().cable_travel[0]
+            tension, velocity = by_hand(robot, equation, travel, command, longer)
+            simulation.step(command[None])
+            after = simulation.get_snapshot().velocity[0], simulation.state().cable_tension[0]
+            for found, expected in zip(after, (velocity, tension), strict=True):
+                most = exact * np.abs(expected).max()
+                np.testing.assert_allclose(found, expected, rtol=0, atol=most)
+            pulling += np.count_nonzero(tension)
+    assert 0.05 < pulling / 25 / cables < 0.95

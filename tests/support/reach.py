@@ -1,0 +1,59 @@
+"""Plugins of pytest that find which tests run which lines, and that run chosen tests only."""
+
+from __future__ import annotations
+
+import json
+from collections import defaultdict
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+from coverage import Coverage
+from numba.core.event import install_timer
+
+
+class Reach:
+    """Finds which tests run which lines, and how long each takes but for compiling kernels, which
+    falls to the first that needs them."""
+
+    def __init__(self) -> None:
+        self.coverage = Coverage(data_file=None, source=[str(Path.cwd())], branch=False)
+        self.seconds: dict[str, float] = defaultdict(float)
+        self.coverage.start()
+
+    @pytest.hookimpl(wrapper=True)
+    def pytest_runtest_protocol(self, item: pytest.Item) -> Iterator[None]:
+        def compiling(seconds: float) -> None:
+            self.seconds[item.nodeid] -= seconds
+
+        self.coverage.switch_context(item.nodeid)
+        with install_timer("numba:compile", compiling):
+            result = yield
+        self.coverage.switch_context("")
+        return result
+
+    def pytest_runtest_logreport(self, report: pytest.TestReport) -> None:
+        self.seconds[report.nodeid] += report.duration
+
+    def save(self, file: Path) -> None:
+        """Write the seconds of each test, and the tests of each line of each file."""
+        self.coverage.stop()
+        data = self.coverage.get_data()
+        lines = {
+            str(Path(name).relative_to(Path.cwd())): data.contexts_by_lineno(name)
+            for name in data.measured_files()
+        }
+        file.write_text(json.dumps({"seconds": self.seconds, "lines": lines}), "utf-8")
+
+
+class Chosen:
+    """Runs the chosen tests only, in their order."""
+
+    def __init__(self, tests: list[str]) -> None:
+        self._place = {test: place for place, test in enumerate(tests)}
+
+    def pytest_collection_modifyitems(self, items: list[pytest.Item]) -> None:
+        items[:] = sorted(
+            (each for each in items if each.nodeid in self._place),
+            key=lambda each: self._place[each.nodeid],
+        )
