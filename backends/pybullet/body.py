@@ -33,7 +33,7 @@ class Body:
 
     def __init__(self, robot: Robot, client: int, options: PybulletOptions) -> None:
         self._robot, self._client = robot, client
-        self._body = load_robot_body(robot, client, robot.base.mount == "fixed")
+        self._body = load_robot_body(robot, client, robot.base.mount == "fixed", options.contact)
         damp_and_clamp(client, self._body, options.damping, options.max_joint_speed)
         self._sliders = range(robot.num_cables)
         self._joints = range(robot.num_cables + robot.num_hinges)

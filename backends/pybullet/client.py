@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import tempfile
+from itertools import pairwise
 from pathlib import Path
 
 import pybullet
@@ -43,16 +44,17 @@ def connect(robot: Robot, substeps: int = 1) -> int:
     return client
 
 
-def load_robot_body(robot: Robot, client: int, fixed: bool = False) -> int:
+def load_robot_body(robot: Robot, client: int, fixed: bool = False, solid: bool = False) -> int:
     """Load one copy, straight and at rest at the origin.
 
-    It keeps Bullet's joint damping and its limits of hinges and sliders. No other damping, no
-    motors and no contacts act on it.
+    It keeps Bullet's joint damping and its limits of hinges and sliders. No other damping and no
+    motors act on it.
 
     Args:
         robot: the description.
         client: the physics client.
         fixed: whether its base never moves.
+        solid: whether its base and links touch each other; neighbours never do.
 
     Returns:
         The body's id.
@@ -68,13 +70,13 @@ def load_robot_body(robot: Robot, client: int, fixed: bool = False) -> int:
             f"{robot.num_cables} cables and {robot.num_hinges} hinges of {robot.num_links} links. "
             "Describe it with fewer links, or use the engine mujoco."
         )
-    flags = pybullet.URDF_USE_INERTIA_FROM_FILE
-    flags |= pybullet.URDF_IGNORE_COLLISION_SHAPES | pybullet.URDF_IGNORE_VISUAL_SHAPES
+    flags = pybullet.URDF_USE_INERTIA_FROM_FILE | pybullet.URDF_IGNORE_VISUAL_SHAPES
+    flags |= pybullet.URDF_USE_SELF_COLLISION if solid else pybullet.URDF_IGNORE_COLLISION_SHAPES
     # The name is new each time: PyBullet caches files by their path, and other processes load too.
     handle, name = tempfile.mkstemp(prefix=f"{robot.fingerprint}_", suffix=".urdf")
     try:
         with os.fdopen(handle, "w", encoding="utf-8") as file:
-            file.write(urdf(robot))
+            file.write(urdf(robot, solid=solid))
         body = pybullet.loadURDF(name, useFixedBase=fixed, flags=flags, physicsClientId=client)
     finally:
         Path(name).unlink()
@@ -86,6 +88,9 @@ def load_robot_body(robot: Robot, client: int, fixed: bool = False) -> int:
         raise CdcsrError(
             f"PyBullet read the joints of {robot.name} in another order than written: {found}."
         )
+    if solid:
+        for first, second in pairwise([-1, *_own_links(robot)]):
+            pybullet.setCollisionFilterPair(body, body, first, second, 0, client)
     damp_and_clamp(client, body, 0.0, MAX_JOINT_SPEED)
     for slider in range(robot.num_cables):
         pybullet.changeDynamics(body, slider, jointLimitForce=_STOP_FORCE, physicsClientId=client)
@@ -93,6 +98,12 @@ def load_robot_body(robot: Robot, client: int, fixed: bool = False) -> int:
         body, range(count), pybullet.VELOCITY_CONTROL, forces=[0.0] * count, physicsClientId=client
     )
     return body
+
+
+def _own_links(robot: Robot) -> list[int]:
+    """Return PyBullet's numbers of the links themselves, which are at the last of their hinges."""
+    last = {j: robot.num_cables + hinge for hinge, j in enumerate(robot.link_of_hinge)}
+    return [last[j] for j in range(robot.num_links)]
 
 
 def damp_and_clamp(client: int, body: int, damping: float, max_joint_speed: float) -> None:
@@ -120,12 +131,7 @@ def set_masses(robot: Robot, client: int, body: int, plant: Plant, row: int) -> 
     bodies = [(-1, plant.base_mass[row], plant.base_inertia[row])]
     if pybullet.getDynamicsInfo(body, -1, physicsClientId=client)[0] == 0.0:
         bodies.clear()  # a fixed base, which a mass would set free
-    # A link's own body is at the last of its hinges.
-    own = {j: robot.num_cables + hinge for hinge, j in enumerate(robot.link_of_hinge)}
-    bodies += [
-        (own[j], plant.link_mass[row, j], plant.link_inertia[row, j])
-        for j in range(robot.num_links)
-    ]
+    bodies += zip(_own_links(robot), plant.link_mass[row], plant.link_inertia[row], strict=True)
     for index, mass, inertia in bodies:  # with a mass alone PyBullet would compute an inertia
         moments = inertia.tolist()
         # The largest moment of a flat body is the sum of the other two. If rounding put it above,

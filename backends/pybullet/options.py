@@ -19,6 +19,10 @@ class PybulletOptions(EngineOptions):
     """Bullet's damping d of every body, in [1/s]: forces d (1 + |v|) m v and torques likewise."""
     max_joint_speed: Annotated[float, Field(gt=0.0, le=MAX_JOINT_SPEED)] = MAX_JOINT_SPEED
     """The speed at which Bullet clamps joints, in [m/s] and [rad/s]."""
+    contact: bool = False
+    """Whether links that are not neighbours, and the base, push each other away where they touch,
+    with Bullet's contacts and friction. Cables know nothing of contacts, and a snapshot does not
+    keep them: it goes on as after a first touch."""
     servo: Literal["force", "motor"] = "force"
     """How a servo acts: as a force on its slider, or as Bullet's position motor with default gains,
     no stronger than that force."""

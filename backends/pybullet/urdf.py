@@ -38,7 +38,12 @@ def slider_places(robot: Robot) -> np.ndarray:
     return np.column_stack([route.place, height])
 
 
-def urdf(robot: Robot, mesh_files: Mapping[str, str] | None = None, world: bool = False) -> str:
+def urdf(
+    robot: Robot,
+    mesh_files: Mapping[str, str] | None = None,
+    world: bool = False,
+    solid: bool = False,
+) -> str:
     """Return the robot as URDF text.
 
     Args:
@@ -48,10 +53,14 @@ def urdf(robot: Robot, mesh_files: Mapping[str, str] | None = None, world: bool 
         world: whether the text is for others than our engine: a fixed base then hangs on a link
             `world`, which is how URDF fixes it, and coupled hinges have limits. A free base starts
             anywhere; URDF does not say where.
+        solid: whether base and links can touch, as the box and the cylinders that they look like.
     """
     model = _Model(robot.name, mesh_files or {})
     base = robot.base
-    model.link("base", base.mass, base.inertia, ("box", {"size": _text(*base.size)}), share(HULL))
+    box = ("box", {"size": _text(*base.size)})
+    element = model.link("base", base.mass, base.inertia, box, share(HULL))
+    if solid:
+        _add_shape(element, "collision", box, 0.0)
     if world and base.mount == "fixed":
         ET.SubElement(model.root, "link", name="world")
         turn = Rotation.from_quat(base.quaternion, scalar_first=True).as_euler("xyz")
@@ -78,7 +87,10 @@ def urdf(robot: Robot, mesh_files: Mapping[str, str] | None = None, world: bool 
                 shape = {"radius": _text(part.radius), "length": _text(part.length)}
                 color = share(segment_color(segment_of[j]))
                 heights = part.center_of_mass, part.length / 2
-                model.link(child, part.mass, part.inertia, ("cylinder", shape), color, heights)
+                solid_part = ("cylinder", shape)
+                element = model.link(child, part.mass, part.inertia, solid_part, color, heights)
+                if solid:
+                    _add_shape(element, "collision", solid_part, heights[1])
             axis = " ".join(str(int(a == hinge.axis)) for a in "xyz")
             limits, leader = (hinge.lower, hinge.upper), leaders[number]
             if not world and (leader != number or leaders.count(number) > 1):
@@ -108,7 +120,7 @@ class _Model:
         shape: tuple[str, dict[str, str]],
         color: tuple[float, ...],
         heights: tuple[float, float] = (0.0, 0.0),
-    ) -> None:
+    ) -> ET.Element:
         """Add a link whose centre of mass and shape are at `heights` above its frame."""
         element = ET.SubElement(self.root, "link", name=name)
         inertial = ET.SubElement(element, "inertial")
@@ -116,16 +128,16 @@ class _Model:
         ET.SubElement(inertial, "mass", value=_text(mass))
         ixx, iyy, izz = (_text(moment) for moment in inertia)
         ET.SubElement(inertial, "inertia", ixx=ixx, ixy="0", ixz="0", iyy=iyy, iyz="0", izz=izz)
-        visual = ET.SubElement(element, "visual")
         if name in self._meshes:
+            visual = ET.SubElement(element, "visual")
             ET.SubElement(visual, "origin", xyz="0 0 0", rpy="0 0 0")
             geometry = ET.SubElement(visual, "geometry")
             ET.SubElement(geometry, "mesh", filename=self._meshes[name], scale="1 1 1")
         else:
-            ET.SubElement(visual, "origin", xyz=_text(0, 0, heights[1]), rpy="0 0 0")
-            ET.SubElement(ET.SubElement(visual, "geometry"), shape[0], shape[1])
+            visual = _add_shape(element, "visual", shape, heights[1])
         material = ET.SubElement(visual, "material", name=f"{name}_color")
         ET.SubElement(material, "color", rgba=_text(*color))
+        return element
 
     def place(
         self,
@@ -160,6 +172,16 @@ class _Model:
         ET.SubElement(element, "limit", limits)
         ET.SubElement(element, "dynamics", damping=_text(damping), friction="0")
         return element
+
+
+def _add_shape(
+    link: ET.Element, use: str, shape: tuple[str, dict[str, str]], height: float
+) -> ET.Element:
+    """Give a link a shape to look like or to touch with, `height` above its frame."""
+    element = ET.SubElement(link, use)
+    ET.SubElement(element, "origin", xyz=_text(0, 0, height), rpy="0 0 0")
+    ET.SubElement(ET.SubElement(element, "geometry"), shape[0], shape[1])
+    return element
 
 
 def cable_file(robot: Robot) -> dict[str, object]:

@@ -57,8 +57,10 @@ class World:
         self._clients: list[int] = []
         self._disconnect = weakref.finalize(self, _disconnect, self._clients)
         self._bodies: list[Body] = []
+        # Bullet solves all contacts of a client together, and so copies would not be independent.
+        together = 1 if options.contact else COPIES_PER_CLIENT
         for copy in range(num):
-            if copy % COPIES_PER_CLIENT == 0:
+            if copy % together == 0:
                 self._clients.append(connect(robot, options.substeps))
             self._bodies.append(Body(robot, self._clients[-1], options))
         self._equation = Equation(robot)

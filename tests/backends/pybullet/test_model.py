@@ -6,17 +6,22 @@ import json
 import subprocess
 import sys
 import xml.etree.ElementTree as ET
+from itertools import combinations, pairwise
 
 import numpy as np
 import pybullet
 import pytest
+from numpy.typing import NDArray
 
 from backends.pybullet.client import connect, load_robot_body
+from backends.pybullet.options import PybulletOptions
 from backends.pybullet.rig import cable_rows, rig
+from backends.pybullet.simulation import PybulletSimulation
 from backends.pybullet.urdf import cable_file, joint_names, urdf
 from cdcsr.errors import CdcsrError
 from cdcsr.robot.colors import HULL, METAL, segment_color
 from cdcsr.robot.description import Robot, load_robot
+from cdcsr.robot.poses import link_poses
 from cdcsr.robot.routing import cable_jacobian, cable_lengths, routing
 from tests.support.physics import changed
 
@@ -204,3 +209,34 @@ def test_pybullet_has_the_masses_and_inertias_that_were_written(robot: Robot) ->
     for info, (mass, inertia) in zip(found, expected, strict=True):
         assert info[0] == pytest.approx(mass, rel=1e-14)
         assert info[2] == pytest.approx(inertia, rel=1e-14)
+
+
+def _least_gap(robot: Robot, position: NDArray[np.float64]) -> float:
+    """Return how near the axes of two links that are no neighbours come, less their radii, in [m];
+    along each axis 21 points are tried."""
+    place, share = link_poses(robot, position).joint, np.linspace(0, 1, 21)[:, None]
+    axes = [a + share * (b - a) for a, b in pairwise(place)]
+    radius = [link.radius for link, _ in robot.links]
+    return min(
+        float(np.linalg.norm(axes[i][:, None] - axes[j], axis=2).min() - radius[i] - radius[j])
+        for i, j in combinations(range(robot.num_links), 2)
+        if j - i > 1
+    )
+
+
+def test_links_touch_each_other_if_asked_and_no_other_copy(paper: Robot) -> None:
+    """The arm is curled up until its links would be 39 mm inside each other."""
+    command = np.zeros((2, 8))
+    command[:, [0, 4]] = -5.0
+    gaps, ends = [], []
+    for contact, num in ((False, 1), (True, 2), (True, 1)):
+        simulation, least = PybulletSimulation(paper, num, PybulletOptions(contact=contact)), 1.0
+        for _ in range(100):
+            simulation.step(command[:num], 10)
+            least = min(least, _least_gap(paper, simulation.get_snapshot().position[0]))
+        ends.append(simulation.get_snapshot().position)
+        gaps.append(least)
+        simulation.close()
+    assert gaps[0] < -0.03
+    assert -0.002 < gaps[1] < 0.001
+    np.testing.assert_array_equal(ends[1], np.repeat(ends[2], 2, axis=0))
