@@ -40,7 +40,7 @@ from tests.support.reach import Chosen, Reach
 ROOT = Path(__file__).parents[2]
 PHYSICS = "tests/backends/physics/test_"
 ENGINES = f"tests/backends/contract {PHYSICS}analytic.py {PHYSICS}coupling.py {PHYSICS}servos.py "
-ENGINES += f"{PHYSICS}elastic_cables.py {PHYSICS}rods.py "
+ENGINES += f"{PHYSICS}elastic_cables.py {PHYSICS}rods.py {PHYSICS}guide_friction.py "
 ENGINES += f"{PHYSICS}constraints.py::test_a_step_is_the_solution_of_its_conditions "
 PACKAGES: dict[str, str] = {
     "cdcsr/robot": ENGINES + "tests/cdcsr/robot tests/backends/export tests/backends/mujoco "
@@ -66,7 +66,7 @@ LEFT_OUT = ("benchmarks.py", "model_choices.py")
 """Files that only measure speed, which fast tests do not."""
 LOADED = "numpy scipy.optimize torch mujoco pybullet numba pydantic gymnasium minari"
 """Packages that are loaded once, before the processes of the tests part from this one."""
-BUDGET, TIMEOUT = 30.0, 600.0
+BUDGET, TIMEOUT = 40.0, 600.0
 """Seconds of tests, by their time without a change, that a change gets; and seconds after which one
 that keeps the tests busy, compiling too, counts as noticed, which is said."""
 
