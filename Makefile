@@ -50,15 +50,15 @@ site: setup
 
 test: check
 	@echo "==> fast tests"
-	@OMP_NUM_THREADS=1 $(BIN)/pytest -n auto
+	@OMP_NUM_THREADS=1 $(BIN)/pytest -n auto --dist worksteal
 
 test-all: check
 	@echo "==> all tests"
-	@OMP_NUM_THREADS=1 $(BIN)/pytest -n auto -m 'slow or not slow'
+	@OMP_NUM_THREADS=1 $(BIN)/pytest -n auto --dist worksteal -m 'slow or not slow'
 
 coverage: setup
 	@echo "==> line coverage of the fast tests"
-	@OMP_NUM_THREADS=1 $(BIN)/pytest -n auto --cov --cov-report=term-missing:skip-covered
+	@OMP_NUM_THREADS=1 $(BIN)/pytest -n auto --dist worksteal --cov --cov-report=term-missing:skip-covered
 
 mutants: setup
 	@$(PIP) cosmic-ray

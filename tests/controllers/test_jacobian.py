@@ -13,14 +13,15 @@ from cdcsr.simulation.engines import backend_names
 from controllers.jacobian import JacobianController
 from controllers.rollout import rollout
 from tests.support.controllers import Stepper
+from tests.support.engines import each_engine
 
 
 @pytest.mark.parametrize(
     ("robot", "least", "backend"),
     [
-        pytest.param(*case, name, marks=pytest.mark.slow if name.endswith("-stock") else ())
+        param
         for case in (("paper", 8), ("three-segment", 8), ("three-cable", 7))
-        for name in backend_names()
+        for param in each_engine(*case)
     ],
 )
 def test_reaches_anchor_targets(backend: str, robot: str, least: int) -> None:

@@ -11,11 +11,11 @@ import pytest
 from cdcsr.envs.gym_env import TaskVectorEnv
 from cdcsr.errors import CdcsrError
 from cdcsr.robot.description import load_robot
-from cdcsr.simulation.engines import backend_names
 from cdcsr.tasks.spaces import make_space
 from controllers import workspace as mapping
 from controllers.jacobian import JacobianController
 from controllers.rollout import rollout
+from tests.support.engines import each_engine
 from training.commands.workspace import workspace
 
 
@@ -42,7 +42,7 @@ def test_a_map_surrounds_the_anchor_space(folder: Path) -> None:
     assert (folder / "map.png").read_bytes().startswith(b"\x89PNG")
 
 
-@pytest.mark.parametrize("backend", backend_names())
+@pytest.mark.parametrize("backend", each_engine())
 @pytest.mark.parametrize("space", ["planar-single", "workspace"])
 def test_what_is_in_a_map_is_reached(folder: Path, backend: str, space: str) -> None:
     robot, path = (

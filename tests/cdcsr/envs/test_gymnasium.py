@@ -25,9 +25,10 @@ from cdcsr.simulation.contract import Array
 from cdcsr.simulation.engines import backend_names
 from cdcsr.tasks.catalogue import TASKS
 from cdcsr.tasks.observation import CABLE_TRAVEL, TARGET, TIP_POSITION
+from tests.support.engines import each_engine
 
 ENVIRONMENTS = ("Reach", "Capture", "Follow", "ReachGoal")
-engines = pytest.mark.parametrize("backend", backend_names())
+engines = pytest.mark.parametrize("backend", each_engine())
 FAR = [0.0, 1.0, 1.0]
 
 

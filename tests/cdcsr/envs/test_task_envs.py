@@ -13,12 +13,12 @@ from cdcsr.envs.rng_state import pack_generator, unpack_generator
 from cdcsr.envs.single_env import TaskEnv
 from cdcsr.errors import CdcsrError
 from cdcsr.simulation.contract import Array
-from cdcsr.simulation.engines import backend_names
 from cdcsr.simulation.plant import Parameters
 from cdcsr.tasks.catalogue import TASKS
 from cdcsr.tasks.observation import DISTANCE, TARGET, TIP_POSITION, observation_size
+from tests.support.engines import each_engine
 
-engines = pytest.mark.parametrize("backend", backend_names())
+engines = pytest.mark.parametrize("backend", each_engine())
 every_task = pytest.mark.parametrize("task", TASKS)
 _SMALL = "planar-single"
 
