@@ -93,13 +93,13 @@ def _paths(draw: st.DrawFn, cables: dict[str, Any], last: int) -> dict[str, Any]
         }
         for angle in angles
     ]
-    return {key: cables[key] for key in ("pitch_radius", "guide_offset")} | {"paths": paths}
+    return {key: cables[key] for key in cables if key != "angles_deg"} | {"paths": paths}
 
 
 @st.composite
 def arms(draw: st.DrawFn) -> Robot:
     """Draw any arm: as :func:`robots`, and with a fixed or turned base, gravity, torsion, rods,
-    passive segments and links of which the centre of mass lies anywhere."""
+    passive segments, rough guides and links of which the centre of mass lies anywhere."""
     usual = draw(robots()).model_dump()
     base = usual["base"] | {
         "mount": draw(st.sampled_from(["free", "fixed"])),
@@ -115,6 +115,8 @@ def arms(draw: st.DrawFn) -> Robot:
         if draw(st.booleans()):
             pull = segment["servo"]["gain"] * segment["servo"]["eta"]
             segment["cables"]["axial_stiffness"] = pull * draw(between(1, 1000))
+        if draw(st.booleans()):
+            segment["cables"]["guide_friction"] = draw(between(0.01, 0.5))
         servo, kind = (
             segment["servo"],
             draw(st.sampled_from(["set-point", "displacement", "tension"])),
@@ -193,7 +195,7 @@ def robots(draw: st.DrawFn) -> Robot:
                     "damping": draw(between(0, 50)),
                     "gain": draw(between(5, 100)),
                     "eta": draw(between(0.1, 5)),
-                    "radius": draw(between(0.005, 0.05)),
+                    "radius": draw(between(0.002, 0.009)),
                     "offset": max(draw(between(0.3, 0.99)) * (height - offset), 0.06),
                 },
             }
