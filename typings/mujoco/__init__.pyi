@@ -359,6 +359,10 @@ class MjModel:
     tendon_solref_lim: _Floats
     tendon_solimp_lim: _Floats
     tendon_range: _Floats
+    tendon_stiffness: _Floats
+    tendon_lengthspring: _Floats
+    light_pos: _Floats
+    light_dir: _Floats
     tendon_invweight0: _Floats
     eq_type: _Ints
     eq_obj1id: _Ints
@@ -443,12 +447,38 @@ class MjvCamera:
     elevation: float
     def __init__(self) -> None: ...
 
-class MjvGeom: ...
+class MjvGeom:
+    pos: _Floats
+    size: _Floats
+    rgba: _Floats
+
+class MjvGLCamera:
+    pos: _Floats
+    forward: _Floats
+    frustum_top: float
+    frustum_near: float
 
 class MjvScene:
     ngeom: int
     geoms: Sequence[MjvGeom]
+    camera: Sequence[MjvGLCamera]
+    def __init__(self, model: MjModel, maxgeom: int) -> None: ...
 
+class MjvOption:
+    def __init__(self) -> None: ...
+
+class mjtCatBit(_Enum):
+    mjCAT_ALL: ClassVar[Self]
+
+def mjv_updateScene(
+    m: MjModel,
+    d: MjData,
+    opt: MjvOption,
+    pert: None,
+    cam: MjvCamera,
+    catmask: int,
+    scn: MjvScene,
+) -> None: ...
 def mjv_initGeom(
     geom: MjvGeom,
     type: mjtGeom,

@@ -13,7 +13,7 @@ from cdcsr.robot.colors import BACKGROUND, segment_color
 from cdcsr.robot.description import Robot, load_robot
 from cdcsr.robot.routing import cable_lengths, routing
 from cdcsr.simulation.rotations import rotation_matrix
-from tests.support.physics import described_bodies
+from tests.support.physics import changed, described_bodies, with_parts
 
 
 def test_bodies_have_the_described_mass_inertia_and_center(robot: Robot) -> None:
@@ -101,6 +101,7 @@ def test_parts_look_as_large_as_described_and_weigh_and_touch_nothing(paper: Rob
         return int(geom)
 
     assert model.geom_size[drawn("base")].tolist() == [size / 2 for size in paper.base.size]
+    assert not data.geom_xpos[drawn("base")].any()
     height = paper.top
     for j, (link, _) in enumerate(paper.links):
         geom = drawn(f"link_{j}")
@@ -111,11 +112,15 @@ def test_parts_look_as_large_as_described_and_weigh_and_touch_nothing(paper: Rob
         np.testing.assert_allclose(model.geom_rgba[geom], color, atol=1e-7)
         height += link.length
     for c, servo in enumerate(paper.servos):
-        assert model.geom_size[drawn(f"slider_{c}"), 0] == servo.radius
+        ball, slider = drawn(f"slider_{c}"), data.body(f"slider_{c}")
+        assert model.geom_size[ball, 0] == servo.radius
+        np.testing.assert_array_equal(data.geom_xpos[ball], slider.xpos)
     np.testing.assert_allclose(data.site("tip").xpos, [0, 0, height], atol=1e-12)
     # What a viewer looks at: the middle of base and arm, and as far as it reaches.
     np.testing.assert_allclose(model.stat.center, [0, 0, (paper.top + 2.4) / 2], atol=1e-12)
-    assert model.stat.extent == pytest.approx(np.hypot(2.4, paper.base.size[0]))
+    oblong = changed(paper, base=paper.model_dump()["base"] | {"size": (0.9, 0.5, 0.6)})
+    for robot, wide in ((paper, 0.6), (oblong, 0.9)):
+        assert build_spec(robot).compile().stat.extent == pytest.approx(np.hypot(2.4, wide))
 
 
 def test_tendons_are_as_long_as_the_cables_on_their_ways(paper: Robot) -> None:
@@ -195,6 +200,24 @@ def test_cheapest_is_among_the_faithful() -> None:
     choices.append(Choice("lost", 9, 0.1, np.nan, True))
     assert cheapest(choices).name == "ours"
     assert cheapest([*choices, Choice("better", 40, 0.8, 0.01, True)]).name == "better"
+
+
+def test_an_elastic_cable_is_a_spring_that_only_pulls(paper: Robot) -> None:
+    """Its stiffness is E A over its length at rest."""
+    model = build_spec(with_parts(paper, cables={"axial_stiffness": 3e3})).compile()
+    rest = routing(paper).rest_length
+    np.testing.assert_allclose(model.tendon_stiffness, 3e3 / rest, rtol=1e-12)
+    np.testing.assert_allclose(model.tendon_lengthspring, [[0, r] for r in rest], rtol=1e-12)
+    assert model.tendon_range[:, 1].min() >= 1e6
+
+
+def test_the_light_is_white_and_falls_on_the_arm(paper: Robot) -> None:
+    model = build_spec(paper).compile()
+    ambient = model.vis.headlight.ambient
+    assert 0.2 < ambient[0] == ambient[1] == ambient[2] < 0.6
+    assert model.light_dir[0, 2] < -0.5
+    aside = np.cross(model.light_pos[0] - [0, 0, paper.top + 1.2], model.light_dir[0])
+    assert np.linalg.norm(aside) < 0.6
 
 
 def test_the_background_is_that_of_all_pictures(paper: Robot) -> None:

@@ -19,7 +19,10 @@ from backends.contract_suite.states import assert_same, commands_of, moving, run
 from backends.mujoco.active_cables import CURRENT
 from backends.mujoco.simulation import MujocoSimulation
 from cdcsr.errors import Diverged
+from cdcsr.robot.colors import TARGET
 from cdcsr.robot.description import Robot
+from cdcsr.simulation.cameras import CAMERAS
+from cdcsr.simulation.contract import Array
 from tests.support.physics import slack
 
 
@@ -196,3 +199,46 @@ def test_pictures_without_a_display_fail_in_one_line_as_often_as_they_are_asked_
     first, second = done.stdout.splitlines()
     assert first == second
     assert first.startswith("MuJoCo cannot draw here: it found no OpenGL (set MUJOCO_GL to egl")
+
+
+@pytest.mark.parametrize("camera", CAMERAS)
+def test_a_picture_shows_the_posed_arm_and_the_target(
+    camera: str, paper: Robot, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Checked in MuJoCo's own scene, which needs no display: azimuth 0 and elevation 0 look along
+    +y, and the straight robot of 2.7 m above its middle height fills most of the picture."""
+    simulation, target = MujocoSimulation(paper, 2), np.array([0.3, -0.2, 1.7])
+
+    class Scene:
+        def __init__(self, model: mujoco.MjModel) -> None:
+            self.model, self.scene = model, mujoco.MjvScene(model, 1000)
+
+        def update_scene(self, data: mujoco.MjData, view: mujoco.MjvCamera) -> None:
+            every, options = int(mujoco.mjtCatBit.mjCAT_ALL), mujoco.MjvOption()
+            mujoco.mjv_updateScene(self.model, data, options, None, view, every, self.scene)
+
+        def render(self) -> Array:
+            return np.array([[*g.pos, g.size[0], *g.rgba] for g in self._geoms()])
+
+        def _geoms(self) -> list[mujoco.MjvGeom]:
+            return list(self.scene.geoms[: self.scene.ngeom])
+
+        def close(self) -> None: ...
+
+    monkeypatch.setattr("backends.mujoco.simulation._make_renderer", Scene)
+    simulation.set_snapshot(moving(paper, 2))
+    drawn = simulation.render(1, camera, target)
+    renderer, tip = simulation._renderer, simulation.state().tip_position[1]
+    assert isinstance(renderer, Scene)
+    assert len(simulation.render(1, camera)) == len(drawn) - 1
+    simulation.close()
+    color = np.divide(TARGET, 255)
+    np.testing.assert_allclose(drawn[-1], [*target, 0.018, *color], rtol=0, atol=1e-6)
+    assert np.linalg.norm(drawn[:-1, :3] - tip, axis=1).min() < 0.11  # the middle of the last link
+    eye, gaze = renderer.scene.camera[0], np.deg2rad(CAMERAS[camera])
+    ahead = np.array([-np.sin(gaze[0]), np.cos(gaze[0])]) * np.cos(gaze[1])
+    np.testing.assert_allclose(eye.forward, [*ahead, np.sin(gaze[1])], atol=1e-6)
+    away = np.array([0, 0, 1.35]) - eye.pos
+    np.testing.assert_allclose(np.cross(away, eye.forward), 0, atol=0.05)
+    half = np.linalg.norm(away) * eye.frustum_top / eye.frustum_near
+    assert 0.6 < 1.5 / half < 0.9
