@@ -16,6 +16,7 @@ from backends.viewers.web import LocalServer
 from cdcsr.robot.description import Robot
 from cdcsr.robot.poses import link_poses
 from cdcsr.robot.routing import cable_lengths, routing
+from cdcsr.tasks.debris import Surface
 
 Array = NDArray[np.float64]
 
@@ -32,7 +33,11 @@ class Moment(NamedTuple):
 
 
 def page(
-    robot: Robot, titles: Sequence[str], moments: Sequence[Sequence[Moment]], period: float
+    robot: Robot,
+    titles: Sequence[str],
+    moments: Sequence[Sequence[Moment]],
+    period: float,
+    debris: Surface | None = None,
 ) -> str:
     """Return a page, in HTML, that shows moments one after another, again and again.
 
@@ -41,12 +46,13 @@ def page(
         titles: of the engines, whose robots stand side by side.
         moments: at each moment one for each engine.
         period: for how long each is shown, in [s].
+        debris: a piece of debris that stands beside each robot.
     """
     route, num_cables = routing(robot), robot.num_cables
     with redirect_stdout(io.StringIO()):  # viser prints its address, which is of no use here
         server = LocalServer("127.0.0.1", 0, verbose=False)
     try:
-        scenes = [EngineScene(server, robot, title, n) for n, title in enumerate(titles)]
+        scenes = [EngineScene(server, robot, title, n, debris) for n, title in enumerate(titles)]
         look_at(server, robot, scenes[-1])
         trails: list[list[Array]] = []
         serializer, before = server.get_scene_serializer(), np.full(3, np.nan)

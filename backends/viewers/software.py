@@ -20,6 +20,7 @@ from cdcsr.robot.colors import (
     BACKGROUND,
     CABLE,
     CABLE_RADIUS,
+    DEBRIS,
     TARGET,
     TARGET_RADIUS,
     TIP,
@@ -30,6 +31,7 @@ from cdcsr.robot.meshes import link_parts, visual_meshes
 from cdcsr.robot.poses import link_poses
 from cdcsr.robot.ruler import ruler
 from cdcsr.simulation.cameras import HEIGHT, WIDTH, camera_angles
+from cdcsr.tasks.debris import Surface
 
 Array = NDArray[np.float64]
 
@@ -45,9 +47,14 @@ _FAR_AWAY = (0.0, 0.0, -1e3)
 
 
 class Renderer:
-    """Draws one robot with its meshes, its cables, its tip, and targets."""
+    """Draws one robot with its meshes, its cables, its tip, and targets.
 
-    def __init__(self, robot: Robot) -> None:
+    Args:
+        robot: the description.
+        debris: a piece of debris to draw too; arm and target are seen through it.
+    """
+
+    def __init__(self, robot: Robot, debris: Surface | None = None) -> None:
         self._client = connect(robot)
         self._disconnect = weakref.finalize(self, pybullet.disconnect, self._client)
         self._robot, self._paths, self._size = robot, CablePaths(robot), ruler(robot).size
@@ -55,6 +62,10 @@ class Renderer:
         self._parts = [self._mesh(meshes[part]) for part in ("base", *link_parts(robot))]
         self._tip = self._ball(self._size * TIP_RADIUS, TIP)
         self._targets: list[int] = []
+        self._debris: list[int] = []
+        if debris is not None:
+            mesh = trimesh.Trimesh(debris.vertices, debris.faces, process=False)
+            self._debris = self._mesh(_coloured(mesh, DEBRIS))
         straight = np.zeros(7 + robot.num_cables + robot.num_hinges)
         straight[3] = 1.0
         pieces = self._paths.pieces(link_poses(robot, straight))
@@ -97,6 +108,23 @@ class Renderer:
         lens = pybullet.computeProjectionMatrixFOV(
             _FIELD_OF_VIEW, width / height, _NEAREST * self._size, distance + 5 * whole
         )
+        image = self._shoot(width, height, view, light, lens)
+        if self._debris:
+            for body in self._debris:
+                self._put(body, np.array(_FAR_AWAY))
+            image = (image + self._shoot(width, height, view, light, lens)) // 2
+            for body in self._debris:
+                self._put(body, np.zeros(3))
+        steps = range(_OVERSAMPLING)
+        total = np.sum(
+            [image[i::_OVERSAMPLING, j::_OVERSAMPLING] for i in steps for j in steps], axis=0
+        )
+        return (total // _OVERSAMPLING**2).astype(np.uint8)
+
+    def _shoot(
+        self, width: int, height: int, view: list[float], light: list[float], lens: list[float]
+    ) -> NDArray[np.uint16]:
+        """Return a picture of all bodies where they are, shape (height, width, 3)."""
         _, _, pixels, _, mask = pybullet.getCameraImage(
             width,
             height,
@@ -113,11 +141,7 @@ class Renderer:
         )
         image = np.array(pixels, dtype=np.uint16).reshape(height, width, 4)[..., :3]
         image[np.array(mask).reshape(height, width) < 0] = BACKGROUND
-        steps = range(_OVERSAMPLING)
-        total = np.sum(
-            [image[i::_OVERSAMPLING, j::_OVERSAMPLING] for i in steps for j in steps], axis=0
-        )
-        return (total // _OVERSAMPLING**2).astype(np.uint8)
+        return image
 
     def close(self) -> None:
         """Release the client; to close twice does nothing."""

@@ -25,6 +25,8 @@ Array = NDArray[np.float64]
 _TRIED = 20_000
 """How many points of the surface tell what share of it is in reach."""
 _LEAST_SHARE = 1e-3
+_WITH_MAP = ".npz+"
+"""In a name, after a map of the workspace and before a mesh."""
 
 
 @dataclass(frozen=True)
@@ -34,6 +36,8 @@ class Reach:
 
     robot: Robot
     map: Workspace | None = None
+    given: bool = False
+    """Whether the map is one that the user named."""
 
     def holds(self, points: Array) -> NDArray[np.bool_]:
         """Return which points are in reach, shape (n,).
@@ -72,7 +76,7 @@ class Surface:
 
     @property
     def digest(self) -> str:
-        """16 hexadecimal digits of the content."""
+        """16 hexadecimal digits of the mesh's content."""
         arrays = self.vertices.astype(float), self.faces.astype(np.int64)
         return digest(b"".join(array.tobytes() for array in arrays))
 
@@ -105,22 +109,33 @@ class Surface:
         return np.linalg.norm(np.cross(sides[:, 0], sides[:, 1]), axis=1).cumsum()
 
 
-def load_surface(path: Path, robot: Robot) -> Surface:
+def load_surface(name: str, robot: Robot) -> Surface:
     """Load debris from a mesh file whose coordinates are in the world frame, in [m].
 
-    In reach is what the shipped map of the robot's workspace holds; a robot without one, or with a
-    flat one, may reach whatever is within its arm's length. A note says what share that is.
+    In reach is what the given map of the robot's workspace holds, else the shipped one; a robot
+    without one, or with a flat one, may reach whatever is within its arm's length. A note says what
+    share that is.
+
+    Args:
+        name: the path of the mesh, or `map.npz+mesh.stl` for a map of one's own.
+        robot: whose arm is to reach it.
 
     Raises:
         CdcsrError: it is no usable mesh, is hardly as large as the threshold, or the arm reaches
-            less than a thousandth of it.
+            less than a thousandth of it. The map is none of this robot, or a flat one.
     """
+    path, reach = Path(name), Reach(robot)
+    if _WITH_MAP in name:
+        own, _, rest = name.partition(_WITH_MAP)
+        path, reach = Path(rest), Reach(robot, load_workspace(robot, Path(f"{own}.npz")), True)
+        if reach.map is not None and not reach.map.edges.all():
+            raise CdcsrError(f"The map {own}.npz is flat, and no debris is; leave it out.")
+    else:
+        with suppress(CdcsrError):  # there is none
+            shipped = load_workspace(robot)
+            reach = Reach(robot, shipped) if shipped.edges.all() else reach
     mesh = read_mesh(path, "debris")
-    reach = Reach(robot)
-    with suppress(CdcsrError):  # there is none
-        shipped = load_workspace(robot)
-        reach = Reach(robot, shipped) if shipped.edges.all() else reach
-    surface = Surface(str(path), np.array(mesh.vertices), np.array(mesh.faces), reach)
+    surface = Surface(name, np.array(mesh.vertices), np.array(mesh.faces), reach)
     if max(mesh.extents) < ruler(robot).threshold:
         raise CdcsrError(
             f"The debris {path} is {max(mesh.extents):.3g} m large, less than the threshold of "

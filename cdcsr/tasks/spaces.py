@@ -126,7 +126,7 @@ def anchor(robot: Robot) -> Anchor:
 
 def own_file(name: str, robot: Robot) -> dict[str, str]:
     """Return the digest of a file that the user gave as a space, as the entry of a record: `map` of
-    a map, `debris` of a mesh.
+    a map, `debris` of a mesh; both of a mesh with a map.
 
     Another file may have the same name; the named spaces have no such entry.
 
@@ -134,7 +134,9 @@ def own_file(name: str, robot: Robot) -> dict[str, str]:
         CdcsrError: there is no such file, or it is not for this robot.
     """
     if is_mesh(name):
-        return {"debris": load_surface(Path(name), robot).digest}
+        surface = load_surface(name, robot)
+        own = surface.reach.map if surface.reach.given else None
+        return {"debris": surface.digest} | ({} if own is None else {"map": own.digest})
     return {"map": load_workspace(robot, Path(name)).digest} if name.endswith(".npz") else {}
 
 
@@ -143,7 +145,7 @@ def make_space(name: str, robot: Robot, centers: Array | None = None) -> Space:
 
     Args:
         name: one of :data:`SPACES`, "workspace", the path of a map that ends in .npz, or that of a
-            mesh that ends in .stl, .obj, .ply or .glb.
+            mesh that ends in .stl, .obj, .ply or .glb; `map.npz+mesh.stl` takes both.
         robot: whose workspace it is.
         centers: targets of the demonstrations, shape (n, 3), in [m]; by default those of seed 0.
 
@@ -154,7 +156,7 @@ def make_space(name: str, robot: Robot, centers: Array | None = None) -> Space:
     if name == "anchor":
         return anchor(robot)
     if is_mesh(name):
-        return load_surface(Path(name), robot)
+        return load_surface(name, robot)
     if name == WORKSPACE or name.endswith(".npz"):
         return load_workspace(robot, None if name == WORKSPACE else Path(name))
     if name not in BALLS:

@@ -10,6 +10,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from cdcsr.robot.description import Robot
+    from cdcsr.tasks.debris import Surface
     from controllers.controller import Controller
 
 _ENDINGS = ".mp4", ".gif", ".html"
@@ -49,7 +50,7 @@ def film(
         robot: a shipped robot's name, or a path ending in .toml; by default the robot of the policy
             or of the dataset, else paper.
         space: where targets lie: anchor, floating, spatter, workspace, a map (.npz) or debris
-            (.stl, .obj, .ply, .glb). A dataset has its own.
+            (.stl, .obj, .ply, .glb), which is then shown too. A dataset has its own.
         targets: how many episodes, one after another.
         seed: seed of the targets; by default the one that nothing is tuned on.
         seconds: how much of each episode is shown, in simulated s; by default all of it.
@@ -85,10 +86,10 @@ def film(
     if out.suffix == ".html":
         _check_page()
     set_threads()
-    shown, found, places = _find(what, robot, space, targets, seed)
+    shown, found, places, debris = _find(what, robot, space, targets, seed)
     limit = float("inf") if seconds is None else seconds
     speed = _SPEED * ruler(found).pace if speed is None else speed
-    style = Style(speed / fps, fps, width, camera, limit)
+    style = Style(speed / fps, fps, width, camera, limit, debris)
     policy_video(shown, found, backend, places, out, shown.frame_skip, style)
     size = out.stat().st_size / 1e6
     print(f"{shown.name}, {found.name} in {', '.join(backend)} -> {out}, {size:.2f} MB")
@@ -110,8 +111,9 @@ def _check_page() -> None:
 
 def _find(
     what: str, robot: str | None, space: str, targets: int, seed: int | None
-) -> tuple[Controller, Robot, NDArray[float64]]:
-    """Return what acts, on which robot, and the targets, shape (N, 3), in [m].
+) -> tuple[Controller, Robot, NDArray[float64], Surface | None]:
+    """Return what acts, on which robot, the targets, shape (N, 3), in [m], and on which debris they
+    lie, if they do.
 
     Raises:
         CdcsrError: there is no such controller or dataset, or it is of another robot.
@@ -121,6 +123,7 @@ def _find(
     from cdcsr.robot.description import load_robot
     from cdcsr.robot.ruler import ruler
     from cdcsr.simulation.arguments import MOST_SEED, check_count
+    from cdcsr.tasks.debris import Surface
     from cdcsr.tasks.spaces import make_space
     from controllers.dataset_files import stored_robot
     from controllers.demonstrations import load
@@ -137,8 +140,9 @@ def _find(
         episodes = load(Path(what), described.fingerprint, ruler(described).frame_skip)[:targets]
         controller = Nearest(described, episodes)  # each is nearest to its own target
         controller.name = Path(what).resolve().name
-        return controller, described, np.array([episode.target for episode in episodes])
+        return controller, described, np.array([episode.target for episode in episodes]), None
     controller = find_controller(what, asked)
     described = robot_of(controller, asked, robot is not None)
     place = make_space(space, described, controller.centers)
-    return controller, described, place.sample(np.random.default_rng(seed), targets)
+    drawn = place.sample(np.random.default_rng(seed), targets)
+    return controller, described, drawn, place if isinstance(place, Surface) else None

@@ -22,6 +22,7 @@ from cdcsr.robot.colors import BACKGROUND
 from cdcsr.robot.description import Robot
 from cdcsr.robot.ruler import millimetres, ruler
 from cdcsr.simulation.engines import engine_title
+from cdcsr.tasks.debris import Surface
 from controllers.controller import Controller
 from controllers.rollout import rollout
 from training.plots.targets import MISSED_COLOR, REACHED_COLOR
@@ -58,6 +59,8 @@ class Style:
     """A name in :data:`cdcsr.simulation.cameras.CAMERAS`."""
     seconds: float = np.inf
     """The simulated time after which an episode is no longer shown, in [s]."""
+    debris: Surface | None = None
+    """A piece of debris that is drawn too."""
 
     def pixels(self, length: int) -> int:
         """Return a length of the picture that is :data:`WIDTH` wide in pixels of this one, even."""
@@ -168,7 +171,7 @@ def draw_page(
                 state = recording.position[row, n], recording.tension[row, n]
                 moments[-1].append(Moment(*state, target))
     titles = [engine_title(recording.backend) for recording in recordings]
-    return page(robot, titles, moments, 1 / style.rate)
+    return page(robot, titles, moments, 1 / style.rate, style.debris)
 
 
 def draw_frames(
@@ -192,7 +195,7 @@ def draw_frames(
         [recording.rows(n, period, style) for n in range(len(targets))] for recording in recordings
     ]
     total = sum(len(drawn) for episodes in rows for drawn in episodes)
-    renderer = Renderer(robot)
+    renderer = Renderer(robot, style.debris)
     try:
         with tqdm(total=total, desc="video", unit="picture", disable=None) as bar:
             for n, target in enumerate(targets):

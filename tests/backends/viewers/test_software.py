@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import numpy as np
+import trimesh
 
 from backends.contract_suite.states import straight
 from backends.viewers.software import Renderer
 from cdcsr.robot.description import Robot, load_robot
 from cdcsr.robot.poses import tip_at_start
+from cdcsr.tasks.debris import load_surface
 
 
 def test_pictures_show_the_pose_and_the_targets(paper: Robot) -> None:
@@ -24,6 +28,29 @@ def test_pictures_show_the_pose_and_the_targets(paper: Robot) -> None:
     assert 10 < len(rows) < 200
     assert rows.mean() < 200  # high up
     assert columns.mean() > 240  # to the right of the arm, as this camera sees it
+
+
+def test_debris_is_drawn_and_is_seen_through(paper: Robot, tmp_path: Path) -> None:
+    """A slab between the camera and a target changes the white behind it by half of what an opaque
+    one would, and leaves the target redder than the rest."""
+    target, file = np.array([0.2, 0.1, 2.45]), tmp_path / "slab.ply"
+    slab = trimesh.creation.box((0.4, 0.02, 0.4)).apply_translation(target - (0.0, 0.1, 0.0))
+    slab.export(file)
+    pictures = []
+    for debris in (None, load_surface(str(file), paper)):
+        renderer = Renderer(paper, debris)
+        pictures.append(renderer.draw(straight(paper).position[0], targets=target).astype(int))
+        again = renderer.draw(straight(paper).position[0], targets=target)
+        np.testing.assert_array_equal(again, pictures[-1])  # it comes back
+        renderer.close()
+    plain, behind = pictures
+    changed = (plain != behind).any(axis=2)
+    assert changed.sum() > 1000
+    white = changed & (plain == plain[0, 0]).all(axis=2)
+    assert behind[white].min() > 120  # the mean of white and of the debris
+    red = plain[..., 0] > 2 * plain[..., 1:].max(axis=2)
+    assert (red & changed).sum() > 10
+    assert (behind[red, 0] - behind[red, 2]).min() > 40
 
 
 def test_a_near_view_of_a_small_robot_shows_its_tip() -> None:

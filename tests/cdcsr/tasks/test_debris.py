@@ -12,7 +12,7 @@ from scipy import stats
 from cdcsr.errors import CdcsrError
 from cdcsr.robot.description import Robot, load_robot
 from cdcsr.tasks.spaces import demonstration_space, make_space, own_file
-from cdcsr.tasks.workspace_map import load_workspace
+from cdcsr.tasks.workspace_map import Workspace, load_workspace
 from tests.support.distributions import LEAST_P, is_isotropic
 
 LAB = load_robot("lab-arm")
@@ -86,6 +86,25 @@ def test_a_shipped_map_says_what_is_in_reach(tmp_path: Path) -> None:
     through = {x for x, y, z in cells if (y, z) == (row[1], row[2])}
     assert through <= set(cell[:, 0].tolist())
     assert not whole.holds(np.array([[0.0, 0.0, 0.0], [1e9, 0.0, 0.0]])).any()
+
+
+def test_a_map_of_ones_own_says_what_is_in_reach(tmp_path: Path) -> None:
+    """A map with one cell, whose corner is the centre of a ball, holds an eighth of the ball."""
+    center = np.array(LAB.workspace.center)
+    name = saved(trimesh.creation.icosphere(4, 0.05), tmp_path / "ball.stl", tuple(center))
+    cells, edges = np.zeros((1, 3), np.int16), np.ones(3)
+    made = Workspace(LAB.fingerprint, center, edges, cells, LAB.to_toml())
+    made.save(tmp_path / "mine.npz")
+    both = f"{tmp_path / 'mine.npz'}+{name}"
+    assert (draw(both, LAB, num=500) >= center).all()
+    assert not (draw(name, LAB, num=500) >= center).all()
+    assert own_file(both, LAB) == own_file(name, LAB) | {"map": made.digest}
+    assert demonstration_space(both) == both
+    Workspace(LAB.fingerprint, center, edges * (1, 0, 1), cells, LAB.to_toml()).save(
+        tmp_path / "mine.npz"
+    )
+    with pytest.raises(CdcsrError, match="is flat, and no debris is"):
+        make_space(both, LAB)
 
 
 @pytest.mark.parametrize("name", ["paper", "lab-arm"])

@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import trimesh
 from PIL import Image, ImageSequence
 
 from cdcsr.cli import main
@@ -51,6 +52,23 @@ def test_a_dataset_is_filmed_as_it_was_recorded(
         travel = episode.observations[-1, 23:]
         end = recorded[0].position[episode.length, n]
         np.testing.assert_allclose(end[7 : 7 + len(travel)], travel, atol=1e-9)
+
+
+@pytest.mark.parametrize("ending", ["gif", "html"])
+def test_debris_is_in_the_film(
+    ending: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    room = pytest.importorskip("backends.viewers.page") if ending == "html" else video
+    maker, place = "EngineScene" if ending == "html" else "Renderer", tmp_path / "debris.stl"
+    center = load_robot("paper").workspace.center
+    trimesh.creation.box((0.1, 0.1, 0.1)).apply_translation(center).export(place)
+    original, drawn = getattr(room, maker), []
+    monkeypatch.setattr(room, maker, lambda *given: drawn.append(given[-1]) or original(*given))
+    options = ["--backend", "mujoco", "--targets", "1", "--seconds", "0", "--width", "32"]
+    out = tmp_path / f"film.{ending}"
+    assert main(["film", "jacobian", "--space", str(place), "--out", str(out), *options]) == 0
+    (debris,) = drawn
+    np.testing.assert_allclose(np.ptp(debris.vertices, axis=0), 0.1, rtol=1e-6)
 
 
 def test_a_page_needs_nothing_else(tmp_path: Path) -> None:
