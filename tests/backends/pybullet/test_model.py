@@ -23,6 +23,7 @@ from cdcsr.robot.colors import HULL, METAL, segment_color
 from cdcsr.robot.description import Robot, load_robot
 from cdcsr.robot.poses import link_poses
 from cdcsr.robot.routing import cable_jacobian, cable_lengths, routing
+from cdcsr.simulation.engines import make_simulation
 from tests.support.physics import changed
 
 
@@ -240,3 +241,12 @@ def test_links_touch_each_other_if_asked_and_no_other_copy(paper: Robot) -> None
     assert gaps[0] < -0.03
     assert -0.002 < gaps[1] < 0.001
     np.testing.assert_array_equal(ends[1], np.repeat(ends[2], 2, axis=0))
+
+
+@pytest.mark.parametrize(
+    "option", ["substeps=0", "substeps=101", "damping=-0.1", "damping=1.1", "max_joint_speed=0"]
+)
+@pytest.mark.parametrize("engine", ["pybullet", "pybullet-stock"])
+def test_options_out_of_range_are_refused(engine: str, option: str, paper: Robot) -> None:
+    with pytest.raises(CdcsrError, match=option.partition("=")[0]):
+        make_simulation(paper, f"{engine}:{option}")

@@ -3,6 +3,7 @@ engine."""
 
 from __future__ import annotations
 
+import contextlib
 import dataclasses
 import gc
 import os
@@ -26,7 +27,7 @@ from cdcsr.errors import CdcsrError, Diverged
 from cdcsr.robot.description import Robot, load_robot
 from cdcsr.simulation.contract import Snapshot
 from cdcsr.simulation.plant import Parameters
-from tests.support.physics import changed, momentum
+from tests.support.physics import changed, finer, momentum
 
 
 def test_hinge_limit_stops_the_arm(paper: Robot) -> None:
@@ -166,6 +167,30 @@ def test_joint_speed_is_not_clamped(paper: Robot) -> None:
     rate = simulation.state().joint_rates[0, -1]
     simulation.close()
     assert rate > 101
+
+
+def test_a_joint_that_bullet_clamps_has_diverged(paper: Robot) -> None:
+    """The stock engine clamps at 100 rad/s."""
+    simulation = PybulletStock(paper)
+    start = simulation.get_snapshot()
+    for speed in (90.0, 150.0):
+        start.velocity[0, -1] = speed
+        simulation.set_snapshot(start)
+        with pytest.raises(Diverged) if speed > 100 else contextlib.nullcontext():
+            simulation.step(np.zeros((1, paper.num_cables)))
+    simulation.close()
+
+
+def test_substeps_of_bullet_are_smaller_time_steps(paper: Robot) -> None:
+    """Four in a step are four steps of a quarter under the same command."""
+    coarse = PybulletSimulation(paper, 2, PybulletOptions(substeps=4), workers=0)
+    fine = PybulletSimulation(finer(paper, 4), 2, workers=0)
+    for command in commands_of(paper, 12, 2, hold=4):
+        coarse.step(command)
+        fine.step(command, 4)
+    assert_same(coarse.state(), fine.state(), rtol=1e-9, atol=1e-12)
+    coarse.close()
+    fine.close()
 
 
 def with_velocity(snapshot: Snapshot, copy: int, speed: float) -> Snapshot:
