@@ -24,7 +24,8 @@ class JacobianController(Controller):
     K are the hinges' damping and stiffness, and f = passive - bias - h K qd. The wish is
     v* = gain (target - tip), its norm capped, plus the target's velocity: so the tip slows down
     near the target and stays. The command makes each servo pull with its tension:
-    a = travel - t / servo gain; of a tension servo, a = t.
+    a = travel - t / servo gain; of a tension servo, a = t. A displacement servo so gets a length of
+    its cable that is shorter by what it gives way under the tension.
 
     The tip is three of the many coordinates in which the arm moves. At a target the rest of the
     arm may go on moving until no tension can hold the tip. A reach is over by then. Where the tip
@@ -70,11 +71,6 @@ class JacobianController(Controller):
         hinges = np.array([(hinge.stiffness, hinge.damping) for hinge in robot.hinges])
         self._stiffness = np.concatenate([np.zeros(6), hinges[:, 0]])
         self._damping = np.concatenate([np.zeros(6), hinges[:, 1]])
-        if any(servo.kind == "displacement" for servo in robot.servos):
-            raise CdcsrError(
-                f"The controller 'jacobian' commands tensions, and servos of {robot.name!r} are "
-                "driven by displacement; choose another controller, or another kind of servo."
-            )
         self._servo_gain = np.array([servo.gain for servo in robot.servos])
         self._returns = np.array([float(servo.stiffness > 0) for servo in robot.servos])
         self._pretension = np.array([servo.pretension for servo in robot.servos])

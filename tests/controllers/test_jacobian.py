@@ -9,11 +9,12 @@ from scipy.optimize import minimize
 
 from cdcsr.envs.gym_env import TaskVectorEnv
 from cdcsr.robot.description import load_robot
-from cdcsr.simulation.engines import backend_names
+from cdcsr.simulation.engines import backend_names, principal_engines
 from controllers.jacobian import JacobianController
 from controllers.rollout import rollout
 from tests.support.controllers import Stepper
 from tests.support.engines import each_engine
+from tests.support.physics import with_parts
 
 
 @pytest.mark.parametrize(
@@ -30,6 +31,19 @@ def test_reaches_anchor_targets(backend: str, robot: str, least: int) -> None:
     result = rollout(JacobianController(env.robot), env, observation)
     env.close()
     assert result.success.sum() >= least
+
+
+@pytest.mark.parametrize("backend", principal_engines())
+def test_reaches_targets_with_servos_that_are_told_a_length(backend: str) -> None:
+    """They give way by 1 mm under 5 N, and a command of the tension as of a soft servo fails."""
+    robot = with_parts(
+        load_robot("paper"), servo={"kind": "displacement", "gain": 5e3, "eta": 0.05}
+    )
+    env = TaskVectorEnv(4, robot, backend, "anchor", autoreset_mode="Disabled")
+    observation, _ = env.reset(seed=4)
+    result = rollout(JacobianController(robot), env, observation)
+    env.close()
+    assert result.success.all()
 
 
 def test_planar_robot_stays_in_its_plane() -> None:

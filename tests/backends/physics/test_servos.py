@@ -102,8 +102,6 @@ def test_the_demonstrator_asks_any_servo_for_the_same_tensions() -> None:
 
 def test_what_cannot_be_is_refused_in_one_line() -> None:
     driven = arm(kind="displacement", gain=1e5, eta=0.05)
-    with pytest.raises(CdcsrError, match="driven by displacement"):
-        JacobianController(driven)
     with pytest.raises(CdcsrError, match="write pybullet-stock:servo=force"):
         make_simulation(driven, "pybullet-stock")
     with pytest.raises(CdcsrError, match="third has set-point servos only"):
