@@ -8,10 +8,14 @@ import os
 import re
 from pathlib import Path
 
+import gymnasium
+
 from cdcsr.errors import CdcsrError
 from cdcsr.files import JsonObject, note, read_json, write_json
 from cdcsr.reading import check_file
-from cdcsr.robot.description import Robot, parse_robot
+from cdcsr.robot.description import Robot, load_robot, parse_robot
+from cdcsr.robot.ruler import ruler
+from cdcsr.tasks.catalogue import make_task
 
 _DATA, _METADATA = "main_data.hdf5", "metadata.json"
 _SEALED = (
@@ -20,6 +24,12 @@ _SEALED = (
     *("env_spec", "observation_space", "action_space"),
 )
 """The entries of the metadata that are read here; Minari may change the others."""
+_USUAL = {
+    **{"robot": "paper", "backend": "mujoco", "space": "anchor", "start": "still"},
+    **dict.fromkeys(("frame_skip", "threshold", "max_steps", "motion")),
+}
+"""The arguments of an environment that say where episodes are from, as they are if left out."""
+_KNOWN = {*_USUAL, "task", "render_mode", "camera"}
 _MOST_BYTES = 1 << 33
 """The largest dataset, in bytes, as a file and unpacked."""
 
@@ -73,7 +83,7 @@ def read_metadata(folder: Path) -> JsonObject:
         raise no_demonstrations(folder, error) from None
     if "digest" not in data and "data_digest" not in data:
         note(
-            f"{folder} is of an older version, or Minari has rewritten it: it has no digests, and "
+            f"{folder} is of an older version, or Minari has written it: it has no digests, and "
             "damage would not be seen."
         )
     elif data.get("digest") != _digest(data) or data.get("data_digest") != _file_digest(data_file):
@@ -86,27 +96,53 @@ def read_metadata(folder: Path) -> JsonObject:
 
 
 def _origin(folder: Path, data: JsonObject) -> JsonObject:
-    """Return where the episodes are from, of a dataset that Minari made by combining ours.
+    """Return where the episodes are from, of a dataset that Minari recorded in an environment of
+    ours, or made by combining datasets.
 
-    Minari keeps the environment, and the robot's description is in its arguments.
+    Minari keeps the environment's id and its arguments. Nothing that they name is run.
 
     Raises:
-        CdcsrError: there is no such environment.
+        CdcsrError: there is no such environment, or an argument makes its rewards, observations or
+            robots others than those of the task.
     """
     try:
-        options = json.loads(data["env_spec"])["kwargs"]
-        robot = parse_robot(options["robot"], f"The robot of {folder}")
-        names = ("task", "backend", "space", "start", "frame_skip")
-        found = {name: options[name] for name in names}
+        spec = json.loads(data["env_spec"])
+        kind = gymnasium.registry[spec["id"]]
+        if kind.namespace != "cdcsr" or not str(kind.entry_point).endswith(":TaskEnv"):
+            raise ValueError(f"its environment {spec['id']} has not the observations of eq. (1)")
+        options = {**_USUAL, **kind.kwargs, **spec["kwargs"]}
+        others = [name for name in options if name not in _KNOWN and options[name] is not None]
+        if others:
+            raise ValueError(f"its environment was made with {', '.join(map(str, others))}")
+        robot = load_robot(options["robot"])
+        if options["frame_skip"] is None:
+            options["frame_skip"] = ruler(robot).frame_skip
+        task = make_task(
+            options["task"],
+            robot,
+            max_steps=options["max_steps"],
+            threshold=options["threshold"],
+            motion=options["motion"],
+            period=robot.time_step * options["frame_skip"],
+        )
     except (ValueError, LookupError, TypeError, AttributeError, RecursionError) as error:
         raise no_demonstrations(folder, error) from None
-    texts = {"robot": robot.name, "robot_description": robot.to_toml()}
-    return {**found, **texts, "robot_fingerprint": robot.fingerprint}
+    found = {name: options[name] for name in ("backend", "space", "start", "frame_skip")}
+    texts = {"robot": robot.name, "robot_description": robot.to_toml(), "task": task.name}
+    return {
+        **found,
+        **texts,
+        "robot_fingerprint": robot.fingerprint,
+        "threshold": task.threshold,
+    }
 
 
 def no_demonstrations(folder: Path, error: Exception) -> CdcsrError:
     """Return the error for a folder that is no dataset of ours."""
-    return CdcsrError(f"{folder} holds no demonstrations made by `cdcsr demonstrate`: {error}")
+    return CdcsrError(
+        f"{folder} holds no demonstrations made by `cdcsr demonstrate`, or by Minari in an "
+        f"environment of cdcsr: {error}"
+    )
 
 
 def stored_robot(folder: Path) -> Robot | None:

@@ -3,9 +3,13 @@
 from __future__ import annotations
 
 import json
+import os
 import shutil
+import warnings
 from pathlib import Path
+from typing import Any
 
+import gymnasium
 import numpy as np
 import pytest
 
@@ -18,8 +22,11 @@ from cdcsr.tasks.workspace_map import Workspace, load_workspace
 from controllers.dataset_files import stored_robot
 from controllers.demonstrations import load, record
 from controllers.jacobian import JacobianController
+from tests.support.tiny import tiny_changes
 from training.commands.demonstrate import demonstrate
 from training.commands.replay import replay
+from training.run.train_options import Train
+from training.run.trainer import train
 
 
 @pytest.fixture(scope="module")
@@ -85,6 +92,65 @@ def test_minaris_own_tools_take_datasets_of_ones_own_robot(
         env.close()
     read = load(tmp_path / "sets" / "both-v0", robot.fingerprint, 10)
     assert [e.length for e in read] == [len(e.actions) for one in sets for e in one]
+
+
+def recorded_by_minari(name: str, env_id: str, **options: object) -> Path:
+    """Record two episodes of random actions as stock Minari does; return the folder."""
+    import minari
+    from minari.data_collector import EpisodeBuffer
+
+    env = gymnasium.make(env_id, **options)  # type: ignore[arg-type]
+    env.action_space.seed(0)
+    buffers = []
+    for number in range(2):
+        observations, steps = [env.reset(seed=number)[0]], []
+        while not steps or not (steps[-1][2] or steps[-1][3]):
+            action = env.action_space.sample()
+            observation, *outcome, _ = env.step(action)
+            observations.append(observation)
+            steps.append((action, *outcome))
+        names = ("actions", "rewards", "terminations", "truncations")
+        columns = (list(column) for column in zip(*steps, strict=True))
+        of_steps: dict[str, Any] = dict(zip(names, columns, strict=True))
+        buffers.append(EpisodeBuffer(id=number, observations=observations, **of_steps))
+    with warnings.catch_warnings():  # of authors and links that are not given
+        warnings.simplefilter("ignore", UserWarning)
+        minari.create_dataset_from_buffers(name, buffers, env=env)
+    env.close()
+    return Path(os.environ["MINARI_DATASETS_PATH"]) / name
+
+
+def test_what_stock_minari_recorded_is_learnt_from(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Its environment says of which robot and task it is; what it leaves out is as usual."""
+    monkeypatch.setenv("MINARI_DATASETS_PATH", str(tmp_path))
+    small = {"robot": "planar-single", "frame_skip": 10}
+    folder = recorded_by_minari("random-v0", "cdcsr/Reach-v0", **small)
+    run = Train(
+        out=tmp_path / "run",
+        demonstrations=folder,
+        robot="planar-single",
+        algorithm="batd3",
+        changes=tiny_changes("batd3", bc_updates=20),
+        frame_skip=10,
+        space="spatter",
+        updates=20,
+        evaluate_every=20,
+        evaluate_episodes=1,
+    )
+    policy = train(run)
+    read = load(folder, load_robot("planar-single").fingerprint, 10, "reach", "still", 0.03)
+    np.testing.assert_array_equal(policy.centers, [episode.target for episode in read])
+    assert "no digests" in capsys.readouterr().err
+    moving = recorded_by_minari("drift-v0", "cdcsr/Capture-v0", motion="drift", **small)
+    with pytest.raises(CdcsrError, match="of the task 'capture-drift', not 'reach'"):
+        load(moving, load_robot("planar-single").fingerprint, 10, "reach")
+    with pytest.raises(CdcsrError, match=r"of robot 'planar-single' .*, not of the robot asked"):
+        load(folder, load_robot("paper").fingerprint, 10)
+    dense = recorded_by_minari("dense-v0", "cdcsr/Reach-v0", reward="dense", **small)
+    with pytest.raises(CdcsrError, match="its environment was made with reward"):
+        load(dense, load_robot("planar-single").fingerprint, 10)
 
 
 def test_a_dataset_keeps_its_robot_and_its_map(tmp_path: Path, small_map: Path) -> None:
