@@ -14,8 +14,10 @@ def demo(out: Path, minutes: float = 8.0, json: Path | None = None) -> None:
 
     Args:
         out: the folder for everything.
-        minutes: longest training time, the clone included. With less than 8 the tables and the
-            video have fewer episodes. A larger number trains a demo further that ran out of it.
+        minutes: longest training time, the clone included. The other stages come on top: half a
+            minute at the least, and as much again the first time, when PyBullet's kernels are
+            compiled. With less than 8 the tables and the video have fewer episodes. A larger
+            number trains a demo further that ran out of it.
         json: also write the results, each episode included, to this file.
     """
     from cdcsr.files import write_json
