@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.optimize import minimize
 
-from backends.contract_suite.states import commands_of, running
+from backends.contract_suite.states import commands_of, running, straight
 from cdcsr.errors import CdcsrError
 from cdcsr.robot.description import Robot, load_robot, parse_robot
 from cdcsr.simulation.contract import Array
@@ -139,3 +139,19 @@ def test_tensions_inside_the_robot_do_not_move_its_centre_of_mass(undamped_engin
     impulse = 50 / 2 * 100 * robot.time_step  # of one cable, with its mean tension
     assert np.abs(linear).max() < 1e-3 * impulse
     assert np.abs(angular).max() < 1e-3 * impulse * robot.arm_length
+
+
+def test_bullets_motor_pulls_and_pushes_with_all_its_force_while_it_is_far_off() -> None:
+    """A step h of a slider m with a slack cable and a damper c: m dv = h g (command - travel)."""
+    robot, step = load_robot("paper"), load_robot("paper").time_step
+    travel, command = np.linspace(0.02, 0.09, 8), np.linspace(-0.2, 0.3, 8)
+    start = straight(robot)
+    start.position[0, 7:15] = travel
+    with running(robot, "pybullet:servo=motor") as simulation:
+        simulation.set_snapshot(start)
+        simulation.step(command[None])
+        found = simulation.get_snapshot().velocity[0, 6:14]
+    servo = robot.servos[0]
+    expected = step * servo.gain * (command - travel) / servo.mass
+    np.testing.assert_allclose(found, expected, rtol=0, atol=1e-3)
+    assert np.ptp(np.sign(expected)) == 2
