@@ -13,7 +13,7 @@ import pytest
 EXAMPLES = Path(__file__).parents[1] / "examples"
 ELSEWHERE = {"onnx_loop.py", "own_engine.py"}
 """Run by tests/training/commands/test_export.py, which makes the file that it needs, and by
-tests/backends/contract/test_own_engine.py."""
+tests/backends/contract/test_engines.py."""
 RUNS = {
     "step_a_robot.py": ([], r"mujoco: after 0\.50 s .* tension [\d.]+ N\npybullet: after 0\.50 s"),
     "own_controller.py": ([], r"\| pull .*\n(.*\n)*\| batd3-tuned-spatter-mujoco"),

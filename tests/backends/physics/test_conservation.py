@@ -1,4 +1,4 @@
-"""Momentum and energy are conserved, as far as they should be.
+"""Momentum and energy are conserved, as far as they should be, and motion keeps the symmetries.
 
 No external force acts on the robot: its linear momentum, its angular momentum about the centre of
 mass, and the straight path of that centre are conserved, whatever the cables do.
@@ -16,8 +16,11 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from backends.contract_suite.states import at, commands_of, moving, running, straight
+from cdcsr.envs.gym_env import TaskVectorEnv
 from cdcsr.robot.description import Robot
 from cdcsr.simulation.contract import Array
+from cdcsr.tasks.observation import DISTANCE, TARGET, TIP_POSITION
+from cdcsr.tasks.symmetry import images
 from tests.support.physics import described_bodies, energy, finer, momentum, with_parts
 
 DURATION = 0.15
@@ -161,3 +164,26 @@ def test_without_damping_taut_cables_keep_the_energy(robot: Robot, stiff_engine:
     ]
     assert errors[0] < 2e-4
     assert np.log2(errors[0] / errors[1]) > 0.85
+
+
+def test_mirrored_commands_give_the_mirrored_motion(engine: str, robot: Robot) -> None:
+    """The image of each command leads to the image of each observation: tip, base, its turning,
+    sliders, and speeds."""
+    known = images(robot)
+    env = TaskVectorEnv(len(known), robot, engine, autoreset_mode="Disabled")
+    rng = np.random.default_rng(0)
+    eta = np.array([servo.eta for servo in robot.servos])
+    command, moved = -eta, np.zeros(3)
+    start, _ = env.reset(seed=0)
+    for action in range(120):
+        if action % 10 == 0:
+            command = -eta * rng.random(robot.num_cables) * (rng.random(robot.num_cables) > 0.5)
+        observation, *_ = env.step(np.array([image.command(command) for image in known]))
+        moved = np.maximum(moved, np.abs(observation[0] - start[0])[TIP_POSITION])
+        for image, seen in zip(known, observation, strict=True):
+            expected = image.observation(observation[0])
+            # Each copy has a target of its own.
+            expected[TARGET], expected[DISTANCE] = seen[TARGET], seen[DISTANCE]
+            np.testing.assert_allclose(seen, expected, atol=1e-7, err_msg=image.name)
+    env.close()
+    assert moved[:2].min() > 0.005  # it was bent both ways
