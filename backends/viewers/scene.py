@@ -13,6 +13,7 @@ from cdcsr.robot.description import Robot
 from cdcsr.robot.meshes import link_parts, visual_meshes
 from cdcsr.robot.poses import link_poses
 from cdcsr.robot.ruler import ruler
+from cdcsr.simulation.rotations import at_start
 from cdcsr.tasks.debris import Surface
 from cdcsr.tasks.spaces import Anchor, Balls, Space
 from cdcsr.tasks.workspace_map import Workspace
@@ -122,9 +123,9 @@ class EngineScene:
 def look_at(server: viser.ViserServer, robot: Robot, last: EngineScene) -> None:
     """Let pages begin with a look at all robots, from the first one to the last."""
     height, far = robot.top + robot.arm_length, last.origin[1]
-    away = 0.8 * height + 0.5 * far
-    server.initial_camera.position = (away, far / 2 - 0.25 * away, 0.8 * height)
-    server.initial_camera.look_at = (0.0, far / 2 + 0.2 * height, 0.5 * height)
+    away, (_, _, end) = 0.8 * height + 0.5 * far, at_start(robot, [0, 0, height])
+    server.initial_camera.position = (away, far / 2 - 0.25 * away, 0.5 * end + 0.3 * height)
+    server.initial_camera.look_at = (0.0, far / 2 + 0.2 * height, 0.5 * end)
 
 
 def _add_space(scene: viser.SceneApi, name: str, space: Space, scale: float) -> None:

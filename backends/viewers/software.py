@@ -31,6 +31,7 @@ from cdcsr.robot.meshes import link_parts, visual_meshes
 from cdcsr.robot.poses import link_poses
 from cdcsr.robot.ruler import ruler
 from cdcsr.simulation.cameras import HEIGHT, WIDTH, camera_angles
+from cdcsr.simulation.rotations import at_start
 from cdcsr.tasks.debris import Surface
 
 Array = NDArray[np.float64]
@@ -70,7 +71,11 @@ class Renderer:
         straight[3] = 1.0
         pieces = self._paths.pieces(link_poses(robot, straight))
         self._cables = [self._line(end - start) for start, end in pieces]
-        self._low, self._high = -robot.top, robot.top + robot.arm_length
+        self._length = 2 * robot.top + robot.arm_length
+        self._ends = [
+            at_start(robot, [0, 0, z]) for z in (-robot.top, robot.top + robot.arm_length)
+        ]
+        self._base_edges = np.ptp(meshes["base"].bounds, axis=0)
 
     def draw(
         self,
@@ -99,14 +104,10 @@ class Renderer:
         self._pose(np.asarray(position, dtype=float))
         self._mark(np.asarray(targets, dtype=float).reshape(-1, 3))
         height, width = (_OVERSAMPLING * side for side in size)
-        whole = self._high - self._low
-        center, span = focus or (
-            (0.0, 0.0, (self._low + self._high) / 2),
-            (1 + 2 * _MARGIN) * whole,
-        )
+        center, span = focus or self._whole(camera, width / height)
         view, light, distance = _look(camera, np.asarray(center, dtype=float), span)
         lens = pybullet.computeProjectionMatrixFOV(
-            _FIELD_OF_VIEW, width / height, _NEAREST * self._size, distance + 5 * whole
+            _FIELD_OF_VIEW, width / height, _NEAREST * self._size, distance + 5 * self._length
         )
         image = self._shoot(width, height, view, light, lens)
         if self._debris:
@@ -120,6 +121,15 @@ class Renderer:
             [image[i::_OVERSAMPLING, j::_OVERSAMPLING] for i in steps for j in steps], axis=0
         )
         return (total // _OVERSAMPLING**2).astype(np.uint8)
+
+    def _whole(self, camera: str, shape: float) -> tuple[Array, float]:
+        """Return the middle of the robot at the start, and the height of the part of the world that
+        holds all of it, in [m], for a picture of this width by height."""
+        azimuth, (low, high) = np.deg2rad(camera_angles(camera)[0]), self._ends
+        right = np.array([np.cos(azimuth), np.sin(azimuth), 0.0])
+        wide = max(abs(right @ (high - low)), np.abs(right) @ self._base_edges) / shape
+        tall = (1 + 2 * _MARGIN) * abs(high[2] - low[2])
+        return (low + high) / 2, max(tall, (1 + _MARGIN / 2) * wide)
 
     def _shoot(
         self, width: int, height: int, view: list[float], light: list[float], lens: list[float]

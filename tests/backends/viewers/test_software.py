@@ -61,3 +61,19 @@ def test_a_near_view_of_a_small_robot_shows_its_tip() -> None:
     near = renderer.draw(straight(robot, 1).position[0], size=(64, 64), focus=(tip, 0.02))
     renderer.close()
     assert (near != near[0, 0]).any(axis=2).mean() > 0.05
+
+
+def test_a_picture_holds_arms_that_hang_and_bases_that_are_wide() -> None:
+    """The hanging arm is seen below its base, and the panels of the lab arm's end within."""
+    for name in ("hanging-arm", "lab-arm"):
+        robot = load_robot(name)
+        position = straight(robot, 2).position
+        position[:, 3:7] = robot.base.quaternion
+        position[1, -robot.num_hinges :] = 0.05
+        renderer = Renderer(robot)
+        plain, bent = (renderer.draw(each, size=(240, 180)) for each in position)
+        renderer.close()
+        rows = np.flatnonzero((plain != bent).any(axis=(1, 2)))
+        assert np.ptp(rows) > 0.2 * 240
+        assert (plain[:, [0, -1]] == plain[0, 0]).all()
+        assert (plain[[0, -1]] == plain[0, 0]).all()
