@@ -304,7 +304,7 @@ def test_a_killed_command_ends_as_if_it_had_not_been(place: Place, times: int) -
 @pytest.mark.parametrize(
     ("name", "most"),
     [
-        *((name, 2) for name in [*COMMANDS, "doctor", "new-robot"]),
+        *((name, 1) for name in [*COMMANDS, "doctor", "new-robot"]),
         *(pytest.param(name, 60, marks=pytest.mark.slow) for name in ALL),
     ],
 )
