@@ -250,3 +250,8 @@ def test_links_touch_each_other_if_asked_and_no_other_copy(paper: Robot) -> None
 def test_options_out_of_range_are_refused(engine: str, option: str, paper: Robot) -> None:
     with pytest.raises(CdcsrError, match=option.partition("=")[0]):
         make_simulation(paper, f"{engine}:{option}")
+
+
+@pytest.mark.parametrize("option", ["substeps=1", "substeps=100", "damping=0", "damping=1"])
+def test_options_at_their_bounds_are_taken(option: str, paper: Robot) -> None:
+    make_simulation(paper, f"pybullet:{option}").close()
