@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from itertools import product
 from pathlib import Path
 
 import numpy as np
@@ -19,6 +20,8 @@ from training.study.report.table_parts import basis, engines_of
 
 EVALUATION = "engines"
 FIGURE = "transfer.png"
+_MARKERS = "oD^v"
+"""There are more recipes than colours; each marker begins with the first colour."""
 
 
 def transfer(runs: Sequence[Run]) -> Table:
@@ -61,10 +64,11 @@ def transfer_figures(runs: Sequence[Run], out: Path) -> Figures:
     problems = list(dict.fromkeys((run.setting.task, run.setting.space) for run in chosen))
     with drawn(out / FIGURE, (8.6, 3.4 * len(problems) + 1), "constrained") as figure:
         panels = figure.subplots(len(problems), sharex=True, squeeze=False)[:, 0]
-        colors = dict(zip(dict.fromkeys(map(_recipe, chosen)), COLORS, strict=False))
+        recipes = dict.fromkeys(map(_recipe, chosen))
+        looks = dict(zip(recipes, product(_MARKERS, COLORS), strict=False))
         for axes, problem in zip(panels, problems, strict=True):
             runs_here = [r for r in chosen if (r.setting.task, r.setting.space) == problem]
-            _panel(axes, runs_here, engines, colors)
+            _panel(axes, runs_here, engines, looks)
             axes.set_title(f"{problem[0]}, {problem[1].capitalize()}")
         panels[-1].set_xlabel("tested in")
         legend(figure, 2)
@@ -76,7 +80,7 @@ def _recipe(run: Run) -> str:
 
 
 def _panel(
-    axes: Axes, runs: Sequence[Run], engines: Sequence[str], colors: Mapping[str, str]
+    axes: Axes, runs: Sequence[Run], engines: Sequence[str], looks: Mapping[str, tuple[str, str]]
 ) -> None:
     groups = grouped(runs)
     for i, group in enumerate(groups.values()):
@@ -85,7 +89,7 @@ def _panel(
         for x, engine in enumerate(engines):
             scores = _success(group, engine)
             if scores is not None:
-                _draw(axes, x + shift, scores, colors[label], label if x == 0 else "")
+                _draw(axes, x + shift, scores, *looks[label], label if x == 0 else "")
     axes.set_xticks(range(len(engines)), [engine_title(name) for name in engines])
     axes.set_ylabel("success on 100 targets")
     for x in range(1, len(engines)):
@@ -93,13 +97,15 @@ def _panel(
     tidy(axes)
 
 
-def _draw(axes: Axes, x: float, scores: NDArray[np.float64], color: str, label: str) -> None:
+def _draw(
+    axes: Axes, x: float, scores: NDArray[np.float64], marker: str, color: str, label: str
+) -> None:
     rates = scores.mean(axis=1)
     axes.plot(np.full(len(rates), x), rates, ".", color=color, alpha=0.45, ms=5)
     found = _estimate(scores)
     if found is not None:
         ends = [[found.value - found.low], [found.high - found.value]]
-        axes.errorbar(x, found.value, ends, fmt="o", color=color, ms=6, capsize=3, label=label)
+        axes.errorbar(x, found.value, ends, fmt=marker, color=color, ms=6, capsize=3, label=label)
 
 
 def _success(group: Sequence[Run], engine: str) -> NDArray[np.float64] | None:
