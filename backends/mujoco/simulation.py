@@ -94,6 +94,7 @@ class BatchSimulation(Simulation):
     def _build(self) -> None:
         """Make the batch, for cables that rub only if some do: this takes twice as long."""
         robot = self.robot
+        self._rubs = bool(self.plant.guide_friction.any())
         self.model = model = self._spec().compile()
         self.batch = batch.Batch(model, self.num, self._threads, True)
         self._sensors = self.batch.bind("sensordata")
@@ -116,7 +117,7 @@ class BatchSimulation(Simulation):
         """Build the model that all copies step, by `robot` and `options`."""
 
     def _set_plant(self, ids: NDArray[np.int64], plant: Plant) -> None:
-        if plant.guide_friction.any() and self._cables.friction is None:
+        if plant.guide_friction.any() and not self._rubs:
             snapshot = self._get_snapshot()
             self._build()
             self._set_plant(np.arange(self.num), self.plant)
@@ -345,4 +346,4 @@ class MujocoSimulation(BatchSimulation):
     cables_type = Cables
 
     def _spec(self) -> mujoco.MjSpec:
-        return stepping_spec(self.robot, friction=bool(self.plant.guide_friction.any()))
+        return stepping_spec(self.robot, friction=self._rubs)

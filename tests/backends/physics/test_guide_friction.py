@@ -179,6 +179,19 @@ def test_the_plant_makes_guides_rough_and_smooth(stiff_engine: str) -> None:
         np.testing.assert_allclose(ends[name], expected, rtol=0, atol=1e-4 * apart)
 
 
+def test_a_cable_without_a_guide_that_rubs_is_smooth(stiff_engine: str) -> None:
+    """It runs through a sheath to its only joint, so there is no guide before a joint."""
+    path = {"angle_deg": 20.0, "first_link": 1, "last_link": 1}
+    bare = with_parts(load_robot("planar-single"), cables={"paths": [path], "angles_deg": [20.0]})
+    ends = []
+    for robot in (bare, rough(bare)):
+        with running(robot, stiff_engine) as simulation:
+            simulation.set_parameters(None, Parameters(link_mass=1.5))
+            simulation.step(np.array([[-0.1]]), 40)
+            ends.append(simulation.state().tip_position)
+    np.testing.assert_allclose(ends[1], ends[0], atol=1e-12)
+
+
 def test_friction_that_cannot_be_is_refused() -> None:
     with pytest.raises(CdcsrError, match="mujoco-stock has no friction in guides"):
         make_simulation(arm(), "mujoco-stock")
