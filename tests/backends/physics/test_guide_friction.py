@@ -8,6 +8,7 @@ import pytest
 from backends.contract_suite.states import commands_of, running, straight
 from cdcsr.errors import CdcsrError
 from cdcsr.robot.description import Robot, load_robot
+from cdcsr.simulation.capstan import Capstan
 from cdcsr.simulation.contract import Array, Simulation
 from cdcsr.simulation.engines import make_simulation
 from cdcsr.simulation.plant import Parameters
@@ -123,6 +124,23 @@ def test_friction_only_takes_energy_and_no_momentum(stiff_engine: str) -> None:
     assert turns[0] < 1.5 * turns[1]  # what is there is the integrator's
     assert rubbed.max() < 0
     assert np.abs(kept).sum() < 0.1 * np.abs(rubbed).sum()
+
+
+def test_a_bending_arm_rubs_by_a_half_to_the_whole_of_the_capstans_part() -> None:
+    """A cable that slides over an angle a in all loses the part 1 - exp(-mu a) of its tension; one
+    that sticks in some guides loses less. PyBullet's snapshot holds the friction of each place."""
+    robot, command = rough(load_robot("planar-single")), np.array([[-5.0, 0.0, 0.0, -2.0]])
+    first, most = np.array(Capstan(robot).cable) == 0, 0.0
+    with running(robot, "pybullet") as simulation:
+        for _ in range(3):
+            simulation.step(command, 20)
+            state, snapshot = simulation.state(), simulation.get_snapshot()
+            along = np.diff(guides(robot, state.joint_angles[0]), axis=0)
+            along /= np.linalg.norm(along, axis=1)[:, None]
+            turned = np.arccos(np.clip((along[1:] * along[:-1]).sum(1), -1, 1)).sum()
+            most = state.cable_tension[0, 0] * (1 - np.exp(-MU * turned))
+            assert 0.5 * most < snapshot.private[0, robot.num_cables :][first].sum() < most
+    assert most > 20
 
 
 def test_both_engines_rub_alike() -> None:
