@@ -13,9 +13,10 @@ import pytest
 from backends.contract_suite.states import commands_of, running, straight, stretch
 from backends.mujoco.export import write_mjcf
 from backends.mujoco.stock import MujocoStock, StockOptions
+from cdcsr.errors import CdcsrError
 from cdcsr.robot.description import Robot, load_robot
 from cdcsr.simulation.engines import make_simulation
-from tests.support.physics import slack, with_parts
+from tests.support.physics import changed, slack, with_parts
 
 INTEGRATORS = {
     "implicitfast": mujoco.mjtIntegrator.mjINT_IMPLICITFAST,
@@ -110,3 +111,14 @@ def test_a_pulled_cable_stretches_as_derived(paper: Robot) -> None:
     with running(paper, "mujoco-stock:softness=description") as simulation:
         simulation.step(np.full((1, paper.num_cables), -1.0), 2000)
         assert -slack(paper, simulation).min() < 1e-2 * longer.max()
+
+
+def test_the_time_step_that_elastic_cables_need_is_named_and_is_enough(paper: Robot) -> None:
+    """Springs of MuJoCo's tendons are explicit. The named step has two digits."""
+    elastic = with_parts(paper, cables={"axial_stiffness": 1e6})
+    with pytest.raises(CdcsrError, match="need a time_step of at most") as caught:
+        make_simulation(elastic, "mujoco-stock")
+    step = float(str(caught.value).partition("at most ")[2].split()[0])
+    make_simulation(changed(elastic, time_step=0.95 * step), "mujoco-stock").close()
+    with pytest.raises(CdcsrError, match="explicit"):
+        make_simulation(changed(elastic, time_step=1.05 * step), "mujoco-stock")
