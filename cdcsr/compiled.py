@@ -2,10 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection
+from collections.abc import Callable, Collection, Iterator
+from contextlib import suppress
+from hashlib import sha256
+from types import FunctionType
 from typing import TypeVar, cast
 
 import numba
+from numba.core.caching import FunctionCache
 from numba.core.dispatcher import Dispatcher
 
 F = TypeVar("F", bound=Callable[..., object])
@@ -16,20 +20,48 @@ def compiled(fastmath: Collection[str] = ()) -> Callable[[F], F]:
 
     Numba keeps the machine code beside the source, in the user's cache folder, or in the folder
     that the environment variable NUMBA_CACHE_DIR names. Where it may write to none of them, every
-    process compiles anew.
+    process compiles anew. Code is kept for the function with all compiled functions that it calls.
 
     Args:
         fastmath: the liberties with floating-point numbers that the compiler may take.
     """
 
     def decorate(function: F) -> F:
-        try:
-            made = numba.njit(cache=True, fastmath=set(fastmath))(function)
-        except RuntimeError:  # no place for the machine code
-            made = numba.njit(fastmath=set(fastmath))(function)
+        made = numba.njit(fastmath=set(fastmath))(function)
+        with suppress(RuntimeError):  # no place for the machine code
+            made._cache = _Cache(function)  # type: ignore[attr-defined]
         return cast(F, made)  # it is called as the function is
 
     return decorate
+
+
+class _Cache(FunctionCache):
+    """Machine code that is compiled anew when a function that it calls has changed.
+
+    Machine code holds that of the functions that it calls, and the constants that they name. Numba
+    looks only at the file of the function itself, and would run the old code of the others.
+    """
+
+    def _index_key(self, sig: object, codegen: object) -> tuple[object, object, tuple[str, str]]:
+        """Return by what the machine code for a signature is found."""
+        signature, target, (code, cells) = super()._index_key(sig, codegen)
+        parts = _parts(cast(FunctionType, self._py_func), set())
+        return signature, target, (code, cells + sha256("\n".join(parts).encode()).hexdigest())
+
+
+def _parts(function: FunctionType, seen: set[FunctionType]) -> Iterator[str]:
+    """Yield as text what the machine code of a function depends on, but for those already seen."""
+    seen.add(function)
+    code = function.__code__
+    yield f"{code.co_code.hex()} {code.co_consts} {code.co_names} {code.co_varnames}"
+    for name in code.co_names:
+        value = function.__globals__.get(name)
+        if isinstance(value, Dispatcher):
+            yield f"{name} {sorted(value.targetoptions.items(), key=str)}"
+            if value.py_func not in seen:
+                yield from _parts(value.py_func, seen)
+        elif isinstance(value, bool | int | float | str | tuple):
+            yield f"{name} {value!r}"
 
 
 def cache_folder() -> str | None:
