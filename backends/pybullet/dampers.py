@@ -4,6 +4,9 @@ An explicit damper c oscillates where h c exceeds the inertia that it acts on. S
 bent by nearly a right angle, which its first hinge then turns about its own thin axis. There, and
 only there, the damper is made implicit: M + h c takes the place of M, and -h c a is a torque more.
 At joints of another kind, whose links may be thin rods, all dampers are implicit.
+
+That is decided for a step of the robot's own, or for the step itself if that is longer: dampers
+that became explicit as the step is refined would keep the motion from converging.
 """
 
 from __future__ import annotations
@@ -32,7 +35,7 @@ def stiff_dampers(rig: Rig, hinges: Array, step: float) -> Array:
         step: h in [s].
         hinges: shape (H,), in [rad].
     """
-    cables, damping = rig.slider_mass.size, rig.damping
+    cables, damping, step = rig.slider_mass.size, rig.damping, max(step, rig.damper_step)
     if not rig.universal:
         return damping.copy()
     stiff = np.zeros(damping.size)

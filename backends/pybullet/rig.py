@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from cdcsr.compiled import compiled
 from cdcsr.robot.description import Robot
 from cdcsr.robot.routing import crossing, routing
+from cdcsr.robot.ruler import ruler
 from cdcsr.simulation.plant import Parameters, Plant
 
 Array = NDArray[np.float64]
@@ -17,6 +18,8 @@ Ints = NDArray[np.int64]
 Number = TypeVar("Number", np.float64, np.int64)
 
 _crossing = compiled()(crossing)
+_DAMPER_STEP = 0.0025
+"""That of :class:`Rig` for the paper's robot; those of others are in proportion to their pace."""
 
 
 class Rig(NamedTuple):
@@ -59,6 +62,8 @@ class Rig(NamedTuple):
     """The largest force of each servo, shape (C,), in [N]."""
     recovery_time: float
     """The time constant with which an excess of length decays, in [s]."""
+    damper_step: float
+    """Which dampers are implicit is decided for a step of at least this, in [s]."""
     base_inertia: Array
     """Shape (3,), in [kg m^2]; this and the numbers below are a row of :class:`Plant`."""
     link_inertia: Array
@@ -116,6 +121,7 @@ def rig(robot: Robot, plant: Plant | None = None, copy: int = 0) -> Rig:
         pretension=np.array([servo.pretension for servo in robot.servos], dtype=float),
         force_limit=np.array([servo.force_limit or np.inf for servo in robot.servos]),
         recovery_time=robot.constraint.recovery_time,
+        damper_step=_DAMPER_STEP * ruler(robot).pace,
         **_row(Parameters().plant(robot, 1), 0),
         plain=route.is_universal and route.parallel,
         universal=route.is_universal,
@@ -185,6 +191,7 @@ def unpacked(numbers: Packed) -> Rig:
         _take(real, at, c),
         _take(real, at, c),
         _take(real, at, c),
+        _take(real, at, 1)[0],
         _take(real, at, 1)[0],
         _take(real, at, 3),
         _take(real, at, 3 * j).reshape(j, 3),
