@@ -4,7 +4,8 @@ PYTHON ?= python3
 BIN := .venv/bin
 INSTALLED := .venv/.installed
 # Modules are compiled when they are first imported: all at once takes a third of the set-up.
-PIP := $(BIN)/python -m pip install --quiet --no-compile --disable-pip-version-check -c constraints.txt
+PIP := $(BIN)/python -m pip install --quiet --no-compile --disable-pip-version-check \
+	-c constraints.txt
 
 .DEFAULT_GOAL := help
 .PHONY: help setup check site test test-all coverage mutants demo view bench clean
@@ -59,7 +60,8 @@ test-all: check
 
 coverage: setup
 	@echo "==> line coverage of the fast tests"
-	@OMP_NUM_THREADS=1 $(BIN)/pytest -n auto --dist worksteal --cov --cov-report=term-missing:skip-covered
+	@OMP_NUM_THREADS=1 $(BIN)/pytest -n auto --dist worksteal --cov \
+		--cov-report=term-missing:skip-covered
 
 mutants: setup
 	@$(PIP) cosmic-ray

@@ -21,21 +21,26 @@ print(x.tolist(), lcp.factor.stats.cache_path)
 """
 
 
-@pytest.mark.parametrize("home", ["none", "cache folder"])
-def test_kernels_run_from_a_read_only_install(home: str, tmp_path: Path) -> None:
-    env = read_only_install(tmp_path / "installed")
-    if home == "cache folder":
-        env["NUMBA_CACHE_DIR"] = str(tmp_path / "cache")
+def _printed(code: str, folder: Path, environment: dict[str, str]) -> str:
+    """Return what code prints in a process of its own."""
     done = subprocess.run(
-        [sys.executable, "-B", "-c", KERNELS],
-        cwd=tmp_path,
-        env=env,
+        [sys.executable, "-B", "-c", code],
+        cwd=folder,
+        env=environment,
         capture_output=True,
         text=True,
         check=False,
     )
     assert done.returncode == 0, done.stderr
-    numbers, _, place = done.stdout.strip().rpartition(" ")
+    return done.stdout.strip()
+
+
+@pytest.mark.parametrize("home", ["none", "cache folder"])
+def test_kernels_run_from_a_read_only_install(home: str, tmp_path: Path) -> None:
+    env = read_only_install(tmp_path / "installed")
+    if home == "cache folder":
+        env["NUMBA_CACHE_DIR"] = str(tmp_path / "cache")
+    numbers, _, place = _printed(KERNELS, tmp_path, env).rpartition(" ")
     assert numbers == "[[1.5, 0.0]]"
     assert place.startswith(env.get("NUMBA_CACHE_DIR", "None")), place
 
@@ -71,12 +76,5 @@ def test_a_changed_callee_or_constant_is_compiled_into_its_callers(tmp_path: Pat
         text = CALLEES.replace("FACTOR", str(factor))
         (package / "callees.py").write_text(text, "utf-8")
         told = "from own.caller import result as f; print(f(5), sum(f.stats.cache_hits.values()))"
-        done = subprocess.run(
-            [sys.executable, "-B", "-c", told],
-            env=environment,
-            capture_output=True,
-            text=True,
-            check=True,
-        )
-        found.append(done.stdout.split())
+        found.append(_printed(told, tmp_path, environment).split())
     assert found == [["11", "0"], ["11", "1"], ["16", "0"], ["116", "0"]]
