@@ -3,6 +3,7 @@ without a display."""
 
 from __future__ import annotations
 
+import textwrap
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
@@ -107,7 +108,8 @@ def _convergence(figure: Figure, parity: Parity) -> None:
         axes.xaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
         axes.set_xlabel("time step [ms]")
         orders = ", ".join(f"{engine} {part.order(engine):.2f}" for engine in part.tips)
-        axes.set_title(f"{part.commands} commands; order: {orders}")
+        title = f"{part.commands} commands; order: {orders}"
+        axes.set_title(textwrap.fill(title, 52, break_on_hyphens=False))
     panels[0].set_ylabel("tip distance, mean over time [mm]")
     _legend_below(figure, panels[0])
 
