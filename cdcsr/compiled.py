@@ -29,7 +29,7 @@ def compiled(fastmath: Collection[str] = ()) -> Callable[[F], F]:
     def decorate(function: F) -> F:
         made = numba.njit(fastmath=set(fastmath))(function)
         with suppress(RuntimeError):  # no place for the machine code
-            made._cache = _Cache(function)  # type: ignore[attr-defined]  # Numba types no attributes
+            made._cache = _Cache(function)  # type: ignore[attr-defined]  # untyped
         return cast(F, made)  # it is called as the function is
 
     return decorate
