@@ -6,6 +6,7 @@ from dataclasses import dataclass, replace
 from typing import ClassVar, Self
 
 import numpy as np
+from array_api_compat import array_namespace
 from numpy.typing import NDArray
 
 from cdcsr.errors import CdcsrError, unknown_choice
@@ -53,7 +54,8 @@ class Capture(Task):
         return replace(super().of(robot), speed=own.capture_speed, dwell=dwell)
 
     def _is_slow(self, relative_velocity: Array) -> Mask:
-        return np.linalg.norm(relative_velocity, axis=1) < self.speed
+        xp = array_namespace(relative_velocity)
+        return xp.linalg.vector_norm(relative_velocity, axis=1) < self.speed
 
     def _count(self, on_target: Mask, counts: Counts) -> None:
         counts["dwelt"] += 1
@@ -105,13 +107,15 @@ class Follow(Task):
     def _verdict(self, on_target: Mask, counts: Counts) -> Verdict:
         settled = self._settled_actions(counts)
         # In whole actions, so that 90 of 100 are 90 %.
-        least = np.ceil(self.share * settled - 1e-9)
+        xp = array_namespace(settled)
+        least = xp.ceil(self.share * settled - 1e-9)
         success = (settled > 0) & (counts["settled_on_target"] >= least)
-        return Verdict(on_target, success, np.zeros_like(success), on_target)
+        return Verdict(on_target, success, xp.zeros_like(success), on_target)
 
     def _settled_actions(self, counts: Counts) -> NDArray[np.int64]:
         """Return how many actions came after settling, shape (num,)."""
-        return np.maximum(counts["actions"] - actions_in(self.settling, self.period), 0)
+        settled = counts["actions"] - actions_in(self.settling, self.period)
+        return settled * (settled > 0)
 
     def extra_info(self, state: State, counts: Counts) -> dict[str, Array]:
         """Return the share of actions since the first contact that left the tip on target (zero

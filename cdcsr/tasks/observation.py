@@ -2,6 +2,7 @@
 
 :data:`PARTS` is the only place that knows the layout of the observation. Everything is in the world
 frame and in SI units. If the target moves, the observation holds its position, not its velocity.
+States may hold arrays of NumPy or, see :mod:`cdcsr.tasks.task`, of another library.
 """
 
 from __future__ import annotations
@@ -11,6 +12,7 @@ from itertools import accumulate
 from typing import Literal
 
 import numpy as np
+from array_api_compat import array_namespace
 from numpy.typing import NDArray
 
 from cdcsr.robot.description import Robot
@@ -115,7 +117,8 @@ def observation_size(robot: Robot) -> int:
 def tip_distance(state: State, target: Array) -> Array:
     """Return the distances from tip to target, shape (num,), in [m]; `target` is (num, 3)."""
     apart = target - state.tip_position
-    return np.sqrt(np.einsum("ni,ni->n", apart, apart))
+    xp = array_namespace(apart)
+    return xp.sqrt(xp.einsum("ni,ni->n", apart, apart))
 
 
 def parts_of(state: State, target: Array, distance: Array) -> dict[str, Array]:
@@ -149,7 +152,8 @@ def observe(state: State, target: Array, distance: Array | None = None) -> Array
     """
     if distance is None:
         distance = tip_distance(state, target)
-    return np.concatenate(list(parts_of(state, target, distance).values()), axis=1)
+    parts = list(parts_of(state, target, distance).values())
+    return array_namespace(target).concat(parts, axis=1)
 
 
 def to_state(observation: Array, time: Array, robot: Robot) -> State:

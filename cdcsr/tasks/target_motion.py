@@ -1,7 +1,8 @@
 """How targets move. A policy observes the position of its target, not its velocity.
 
 A motion draws everything random when an episode begins, so that steps draw nothing. What it has to
-remember of each copy is one row of numbers, its memory, which can be saved and restored.
+remember of each copy is one row of numbers, its memory, which can be saved and restored. Steps take
+arrays of any library, see :mod:`cdcsr.tasks.task`; only NumPy's are drawn.
 """
 
 from __future__ import annotations
@@ -11,6 +12,7 @@ from copy import copy
 from typing import ClassVar, Literal, Self, get_args
 
 import numpy as np
+from array_api_compat import array_namespace
 from numpy.typing import NDArray
 
 from cdcsr.errors import CdcsrError, unknown_choice
@@ -113,7 +115,7 @@ class Turning(Motion):
     def advance(self, position: Array, velocity: Array, memory: Array, period: float) -> None:
         center, spin = memory[:, :3], memory[:, 3:6]
         position[:] = center + _turned(position - center, spin * period)
-        velocity[:] = np.cross(spin, position - center)
+        velocity[:] = array_namespace(spin).linalg.cross(spin, position - center)
 
     def _start(self, position: Array, center: Array, spin: Array) -> tuple[Array, Array]:
         return np.cross(spin, position - center), np.concatenate([center, spin], axis=1)
@@ -185,8 +187,10 @@ class Wander(Motion):
 
     def advance(self, position: Array, velocity: Array, memory: Array, period: float) -> None:
         # The small addition keeps 99.999... holds from counting as 99.
-        index = (memory[:, 3] / self.hold + 1e-6).astype(np.int64) % self.draws
-        drawn = memory[:, 4:].reshape(-1, self.draws, 3)[np.arange(len(index)), index]
+        xp = array_namespace(memory)
+        index = xp.astype(memory[:, 3] / self.hold + 1e-6, xp.int64) % self.draws
+        copies = xp.arange(len(index), device=memory.device)
+        drawn = memory[:, 4:].reshape(-1, self.draws, 3)[copies, index]
         total = drawn - self.spring * (position - memory[:, :3]) - self.damper * velocity
         position += velocity * period + total * (period**2 / 2)
         velocity += total * period
@@ -227,7 +231,9 @@ def directions(rng: np.random.Generator, num: int) -> Array:
 
 def _turned(vector: Array, rotation: Array) -> Array:
     """Turn vectors about `rotation` by its length in [rad] (Rodrigues' formula); shapes (n, 3)."""
-    angle = np.linalg.norm(rotation, axis=1, keepdims=True)
-    axis = rotation / np.maximum(angle, 1e-300)
-    along = (axis * vector).sum(axis=1, keepdims=True) * axis
-    return along + np.cos(angle) * (vector - along) + np.sin(angle) * np.cross(axis, vector)
+    xp = array_namespace(vector)
+    angle = xp.linalg.vector_norm(rotation, axis=1, keepdims=True)
+    axis = rotation / xp.clip(angle, xp.finfo(angle.dtype).smallest_normal, None)
+    along = xp.sum(axis * vector, axis=1, keepdims=True) * axis
+    across = xp.linalg.cross(axis, vector)
+    return along + xp.cos(angle) * (vector - along) + xp.sin(angle) * across

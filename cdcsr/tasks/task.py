@@ -1,6 +1,8 @@
 """The contract of a task: when its episodes succeed, and what an action is worth.
 
 A task holds no state. What it has to count during an episode is handed to it as :data:`Counts`.
+It judges arrays of every library that follows the Python array API: a learner on a graphics card
+passes tensors of PyTorch where the types say NumPy.
 """
 
 from __future__ import annotations
@@ -11,6 +13,7 @@ from dataclasses import dataclass, replace
 from typing import ClassVar, Literal, NamedTuple, Self, get_args
 
 import numpy as np
+from array_api_compat import array_namespace
 from numpy.typing import NDArray
 
 from cdcsr.errors import CdcsrError
@@ -175,7 +178,8 @@ class Task(ABC):
 
     def _is_slow(self, relative_velocity: Array) -> Mask:
         """Return whether the tip is slow enough to be on the target, shape (n,); here always."""
-        return np.ones(len(relative_velocity), dtype=bool)
+        xp = array_namespace(relative_velocity)
+        return xp.ones_like(relative_velocity[:, 0], dtype=xp.bool)
 
     @abstractmethod
     def _count(self, on_target: Mask, counts: Counts) -> None:
@@ -187,9 +191,10 @@ class Task(ABC):
 
     def reward(self, distance: Array, rewarded: Mask) -> Array:
         """Return the rewards, shape (num,), from the distances in [m] and :class:`Verdict`."""
+        paid: Array = array_namespace(distance).astype(rewarded, distance.dtype)
         if self.reward_kind == "sparse":
-            return rewarded.astype(np.float64)
-        return rewarded - distance
+            return paid
+        return paid - distance
 
     def extra_info(self, state: State, counts: Counts) -> dict[str, Array]:
         """Return the entries of `info` that only this task has, each of shape (num,)."""
@@ -259,6 +264,7 @@ def base_errors(position: Array, quaternion: Array) -> tuple[Array, Array]:
         position: shape (n, 3), in [m].
         quaternion: w-x-y-z, shape (n, 4), unit length.
     """
-    vector, scalar = np.linalg.norm(quaternion[:, 1:], axis=1), np.abs(quaternion[:, 0])
-    angle: Array = 2 * np.arctan2(vector, scalar)
-    return np.linalg.norm(position, axis=1), angle
+    xp = array_namespace(position)
+    vector, scalar = xp.linalg.vector_norm(quaternion[:, 1:], axis=1), abs(quaternion[:, 0])
+    angle: Array = 2 * xp.atan2(vector, scalar)
+    return xp.linalg.vector_norm(position, axis=1), angle
