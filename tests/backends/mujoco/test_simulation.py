@@ -23,7 +23,7 @@ from cdcsr.robot.colors import TARGET
 from cdcsr.robot.description import Robot
 from cdcsr.simulation.cameras import CAMERAS
 from cdcsr.simulation.contract import Array
-from tests.support.physics import slack
+from tests.support.physics import slack, with_parts
 
 
 @pytest.fixture
@@ -96,12 +96,17 @@ def test_an_impossible_time_step_diverges(paper: Robot) -> None:
         simulation.step(commands_of(paper, 1)[0], 2000)
 
 
+@pytest.mark.parametrize("friction", [0.0, 0.2])
 @pytest.mark.parametrize("guess", [0.0, 1.0])
-def test_the_active_cables_do_not_depend_on_the_first_guess(paper: Robot, guess: float) -> None:
+def test_the_active_cables_do_not_depend_on_the_first_guess(
+    paper: Robot, guess: float, friction: float
+) -> None:
     """Slack, taut and too long cables: tensions and motion are the same if the first guess is that
-    all pull or that none does."""
-    start, command = moving(paper, 6), commands_of(paper, 1, num=6)[0]
-    simulations = MujocoSimulation(paper, 6), MujocoSimulation(paper, 6)
+    all pull or that none does. So is the friction in guides, whose bounds follow from the tensions
+    of the step before and not from those of a wrong guess."""
+    robot = with_parts(paper, cables={"guide_friction": friction})
+    start, command = moving(robot, 6), commands_of(robot, 1, num=6)[0]
+    simulations = MujocoSimulation(robot, 6), MujocoSimulation(robot, 6)
     for simulation in simulations:
         simulation.set_snapshot(start)
     for _ in range(20):
