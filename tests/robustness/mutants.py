@@ -51,6 +51,9 @@ PACKAGES: dict[str, str] = {
     "backends/pybullet": ENGINES + "tests/backends/pybullet tests/backends/export -k 'not mujoco'",
     "backends/export": "tests/backends/export",
     "backends/parity": "tests/backends/parity",
+    "backends/cosserat": "tests/backends/physics/test_rods.py "
+    "tests/training/commands/test_validate.py",
+    "backends/viewers": "tests/backends/viewers tests/training/commands/test_film.py",
     "training/algorithms": "tests/training/algorithms tests/training/run tests/training/config",
     "training/experience": "tests/training/experience tests/training/algorithms tests/training/run",
 }
