@@ -187,22 +187,26 @@ class Copy:
         self._seconds, self._lines = found["seconds"], found["lines"]
 
     def tests(self, mutant: Mutant) -> tuple[list[str], int]:
-        """Return tests that run the changed line, or, if it runs at import or compiled, that run
-        the file or all; first from files that name it, then from its room, by time. The second
-        value is how many there would be without a budget."""
+        """Return tests that run the changed line, or, if it runs at import, compiled or in another
+        process, that run or name the file, or all; first from files that name it, then from its
+        room, by time. The second value is how many there would be without a budget."""
         lines = self._lines.get(mutant.file, {})
         # In the first line, Numba runs what it makes of a kernel in the test that compiles it.
         bodies = (tests for line, tests in lines.items() if line != "1")
         every = [{test for test in tests if test} for tests in bodies]
         exact = {test for test in lines.get(str(mutant.line), []) if test}
-        reached = exact or set().union(*every) or set(self._seconds)
         names = f"from {mutant.file[:-3].replace('/', '.')} ", Path(mutant.file).name
-        texts = {file: (self._folder / file).read_text("utf-8") for file in map(_file_of, reached)}
+        files = {_file_of(test) for test in self._seconds}
+        texts = {file: (self._folder / file).read_text("utf-8") for file in files}
+
+        def named(test: str) -> bool:
+            return any(name in texts[_file_of(test)] for name in names)
+
+        reached = exact or set().union(filter(named, self._seconds), *every) or set(self._seconds)
 
         def place(test: str) -> tuple[bool, bool, float]:
-            foreign = not any(name in texts[_file_of(test)] for name in names)
             away = not test.startswith(f"tests/{self._package}")
-            return foreign, away, self._seconds.get(test, 0.0)
+            return not named(test), away, self._seconds.get(test, 0.0)
 
         total, chosen = 0.0, []
         for test in sorted(reached, key=place):
