@@ -310,6 +310,7 @@ class _NamedInModel:
     """One element of a model; which of these fields there are depends on its kind."""
 
     id: int
+    name: str
     size: _Floats
     mass: _Floats
     inertia: _Floats
@@ -349,6 +350,8 @@ class MjModel:
     jnt_solref: _Floats
     jnt_solimp: _Floats
     geom_bodyid: _Ints
+    site_bodyid: _Ints
+    site_pos: _Floats
     geom_contype: _Ints
     geom_conaffinity: _Ints
     geom_group: _Ints

@@ -139,6 +139,18 @@ def test_tendons_are_as_long_as_the_cables_on_their_ways(paper: Robot) -> None:
     np.testing.assert_allclose(bent.ten_length, expected, rtol=1e-12)
 
 
+def test_guides_are_named_after_the_link_and_the_side_that_they_are_on(paper: Robot) -> None:
+    model, named = build_spec(paper).compile(), 0
+    for number, body in enumerate(model.site_bodyid):
+        kind, *words = model.site(number).name.split("_")
+        if kind == "guide":
+            _, place, *side = words
+            assert model.body(body).name == (f"link_{place}" if side else place)
+            assert side in ([], ["high" if model.site_pos[number, 2] > 0.1 else "low"])
+            named += 1
+    assert named == 4 * (1 + 2 * 6) + 4 * (1 + 2 * 12)  # cables, guides on them
+
+
 def test_coupled_hinges_follow_their_leaders_and_need_another_solver(paper: Robot) -> None:
     coupled = load_robot("paper-coupled")
     model = build_spec(coupled).compile()
