@@ -22,6 +22,7 @@ from cdcsr.robot.routing import cable_lengths, routing
 from cdcsr.simulation.contract import Array, Dynamics, Simulation, State
 from cdcsr.simulation.plant import Parameters
 from tests.support.physics import changed, slack, with_parts
+from training.measure.trajectories import demonstrator_commands
 
 PULL = 250.0
 """No servo pulls harder, in [N]."""
@@ -48,6 +49,16 @@ def test_cables_pull_only_when_taut_and_hardly_stretch(robot: Robot, engine: str
             most, before = max(most, -after.min()), after
         assert np.diagonal(simulation.state().cable_tension).min() > 200
         assert most <= stretch(simulation, PULL)
+
+
+def test_cables_hardly_stretch_along_demonstrations(robot: Robot, stiff_engine: str) -> None:
+    """On the way to targets they get at most 0.05 mm longer than at rest."""
+    commands, longest = demonstrator_commands(robot, stiff_engine, episodes=2, seed=1), 0.0
+    with running(robot, stiff_engine, 2) as simulation:
+        for each in commands.values.swapaxes(0, 1):
+            simulation.step(each)
+            longest = max(longest, -slack(robot, simulation).min())
+    assert longest <= 0.05e-3
 
 
 def test_a_moving_robot_does_not_stretch_its_cables(robot: Robot, stiff_engine: str) -> None:
