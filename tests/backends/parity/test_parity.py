@@ -201,8 +201,8 @@ def test_a_curve_of_another_order_is_caught() -> None:
 
 @pytest.mark.parametrize(("episodes", "order"), [(1, 5 / 6), (2, 2 / 3)])
 def test_one_sensitive_episode_does_not_decide_the_order(episodes: int, order: float) -> None:
-    """Of six instants in four episodes, two or four have errors that are a thousand times larger,
-    and of the order 0.5; a mean of lengths would find 0.5 even with two."""
+    """Two or four of six instants, in four episodes, have errors that are a thousand times larger
+    and of the order 0.5. A mean of lengths would find 0.5 even with two."""
     steps = np.array([4e-3, 2e-3, 1e-3, 0.5e-3])
     tips = np.zeros((4, 2, 4, 3))
     tips[..., 0] = steps[:, None, None]
