@@ -263,6 +263,10 @@ def test_a_clone_reports_every_hundredth_update_and_learns_ever_more_slowly(
     early = (seen[1][1] - seen[0][1]).abs().max().item()
     late = (weights[0].detach() - seen[1][1]).abs().max().item()
     assert late < 0.3 * early
+    last: list[int] = []
+    clone = BehaviourCloning(small_robot, learner.changed(bc_updates=100), torch.Generator())
+    clone.fit(observations, commands, lambda update, _: last.append(update))
+    assert last == [100]  # the last of all updates too
 
 
 def test_clone_learns_a_known_policy(small_robot: Robot) -> None:
