@@ -84,6 +84,23 @@ def test_the_text_has_the_numbers_in_their_units(parity: Parity) -> None:
     assert lines[-1].startswith("14 of 16 checks hold; first failure: level 1, bias force, b - a: ")
 
 
+@pytest.mark.parametrize(
+    ("usual", "rare", "failed"),
+    [
+        (0.019, 0.19, []),
+        (0.021, 0.19, [f"{q.name}, median" for q in QUANTITIES]),
+        (0.019, 0.21, [f"{q.name}, 95 %" for q in QUANTITIES if q.name != "tension"]),
+    ],
+)
+def test_half_the_steps_may_differ_by_a_hundredth_and_few_by_more_than_a_tenth(
+    usual: float, rare: float, failed: list[str]
+) -> None:
+    """The quantities are 2 in size; 7 of 101 differences are rare."""
+    differences = {q.name: np.repeat([usual, rare], [94, 7]) for q in QUANTITIES}
+    part = OneStep("random", "b - a", differences, {q.name: np.full(101, 2.0) for q in QUANTITIES})
+    assert [check.name for check in part.checks() if not check.passed] == failed
+
+
 def test_the_report_measures_by_the_robots_own_ruler(parity: Parity) -> None:
     """The arm of 0.12 m is a twentieth of the paper's, and so is the error of 3 mm."""
     text = show(replace(parity, robot=load_robot("bench-arm")))
