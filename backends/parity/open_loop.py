@@ -49,9 +49,8 @@ range."""
 
 @dataclass(frozen=True)
 class OpenLoop:
-    """The tips in R refinements at T instants in N episodes. Entries after an episode's end are
-        NaN;
-    lengths are in [m]."""
+    """The tips in R refinements at T instants in N episodes. Lengths are in [m]; entries after an
+    episode's end are NaN."""
 
     commands: str
     time_steps: Array

@@ -88,12 +88,18 @@ def file_vector(across: float, along: float) -> Array:
 
 def write_shapes(folder: Path, forces: list[float]) -> None:
     """Write rods under tip forces across them, as the elastica has them."""
-    rows = [["label"] * 18] * 2
-    for force in forces:
-        table = np.zeros((6, 17))
+    tables = np.zeros((len(forces), 6, 17))
+    for table, force in zip(tables, forces, strict=True):
         table[3:, 2] = file_vector(force, 0.0)
         table[3:, 16] = file_vector(*elastica(force, LENGTH, STIFFNESS))
-        rows += [["row", *map(repr, map(float, line))] for line in table]
+    write_tables(folder, tables)
+
+
+def write_tables(folder: Path, tables: Array) -> None:
+    """Write shapes at rest, each as three rows of angles and three of positions, shape (n, 6, 17):
+    gravity, the wrenches at the middle and at the tip, and at 9 and 16 the poses of both."""
+    rows = [["label"] * 18] * 2
+    rows += [["row", *map(repr, line)] for line in tables.reshape(-1, 17).tolist()]
     path = folder / "statics" / "TPURodMuJoCo_dataStatics.csv"
     path.parent.mkdir(parents=True, exist_ok=True)
     path.write_text("\n".join(",".join(row) for row in rows))

@@ -126,6 +126,13 @@ def test_the_place_of_a_wrong_number_is_named(paper: Robot) -> None:
     assert where["cable length"] in {f"cable_{c}" for c in range(4)}
 
 
+def test_the_tolerance_of_lengths_grows_with_the_arm() -> None:
+    """The arm of 0.12 m is a twentieth of the paper's."""
+    checks = one_state(load_robot("bench-arm"), ENGINES, num=2)
+    lengths = [check.tolerance for check in checks if check.name == "cable length"]
+    assert lengths == pytest.approx([1e-9 / 20] * 3)
+
+
 # --- level 2 --------------------------------------------------------------------------------------
 
 
@@ -267,6 +274,8 @@ def test_the_papers_robot_is_within_every_tolerance(result: Parity) -> None:
     demonstrator = result.open_loop[0]
     assert demonstrator.mean_distance("pybullet")[0] > 1e-4  # two schemes, not one
     assert demonstrator.limit_distance("pybullet") < 1e-5
+    tips = demonstrator.tips["mujoco"][0]  # noise of a millionth moves them by about as little
+    assert 1e-9 < demonstrator.noise_floor < 1e-5 * np.ptp(tips, axis=0).max()
     for engine in ENGINES:
         assert 0.9 < demonstrator.order(engine) < 1.1
 

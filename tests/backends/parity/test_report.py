@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import replace
@@ -11,12 +12,15 @@ import numpy as np
 import pytest
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
+from tqdm import tqdm
 
-from backends.parity import plots
+from backends.mujoco.simulation import MujocoSimulation
+from backends.parity import plots, report
 from backends.parity.checks import Check
 from backends.parity.one_step import QUANTITIES, OneStep
 from backends.parity.open_loop import OpenLoop
-from backends.parity.report import Parity, show
+from backends.parity.report import Parity, measure, show
+from backends.parity.trajectories import random_commands
 from cdcsr.robot.description import load_robot
 from cdcsr.simulation.contract import Array
 
@@ -124,6 +128,22 @@ def test_the_plain_data_name_the_first_failure(parity: Parity) -> None:
     assert step["differences"]["base velocity"]["max"] == pytest.approx(2.02e-4)
 
 
+def test_the_bar_counts_every_step_that_is_made(monkeypatch: pytest.MonkeyPatch) -> None:
+    robot, bars = load_robot("planar-single"), []
+
+    class Bar(tqdm):  # type: ignore[type-arg]
+        def __init__(self, total: int, unit: str, **_: object) -> None:
+            super().__init__(total=total, unit=unit, file=io.StringIO())
+            bars.append(self)
+
+    monkeypatch.setattr(report, "tqdm", Bar)
+    engines = {"a": MujocoSimulation, "b": MujocoSimulation}
+    switches = {"b": {"b:soft=no": MujocoSimulation}}
+    runs = [random_commands(robot, 2, seed=0, steps=3), random_commands(robot, 1, seed=0, steps=2)]
+    measure(robot, engines, runs, seed=0, progress=True, switches=switches)
+    assert [bar.n for bar in bars] == [bar.total for bar in bars] == [(6 + 2) * (2 + 2 * 15 + 1)]
+
+
 def test_the_figures_hold_the_measured_numbers(
     parity: Parity, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
@@ -168,6 +188,7 @@ def test_the_figures_hold_the_measured_numbers(
         found = {str(line.get_label()).partition(",")[0]: line for line in panel.lines}
         np.testing.assert_allclose(data_of(found["b from a"])[0], [0.004, 0.008, 0.012])
         np.testing.assert_allclose(data_of(found["b from a"])[1], 8.0)
+        assert found["b from a"].get_color() == second.axes[0].lines[1].get_color()
         np.testing.assert_allclose(data_of(found["a"])[1], [0.002, 0.002, 0.001])  # medians
         assert panel.get_xlim() == (0, pytest.approx(0.012))
     tolerance = demonstrated.lines[-1]

@@ -7,11 +7,12 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from backends.contract_suite.states import Make
-from backends.cosserat.equilibrium import equilibrium
+from backends.cosserat.equilibrium import _slope, equilibrium
 from backends.parity.one_state import one_state
 from cdcsr.errors import CdcsrError
 from cdcsr.robot.description import Robot, load_robot
 from cdcsr.robot.poses import arms
+from cdcsr.simulation.contract import Array
 from cdcsr.simulation.engines import load_backend, make_simulation
 from tests.support.physics import changed, momentum
 from tests.support.rods import CABLES, elastica, rod_robot
@@ -133,6 +134,32 @@ def test_gravity_acts_like_the_weight_of_every_link(engine: str, make: Make) -> 
     expected = equilibrium(weighed)
     assert np.abs(expected).max() > 0.05
     np.testing.assert_allclose(equilibrium(hanging), expected, atol=1e-9)
+
+
+def test_the_slope_of_the_forces_is_that_of_finite_differences(engine: str, make: Make) -> None:
+    """Newton's steps need it. Two bent copies on a turned base, with forces off the links' axes,
+    torques and weights."""
+    upright, random = rod_robot(4, TUBE, TUBE, gravity=(1.0, 2.0, -9.0)), np.random.default_rng(0)
+    base = upright.model_dump()["base"] | {"quaternion": (0.6, 0.0, 0.8, 0.0)}
+    robot = changed(upright, base=base)
+    simulation = make(engine, robot, 2)
+    for link, slot in ((1, 0), (1, 1), (5, 0), (-1, 0)):
+        force, torque, point = random.uniform(-1, 1, (3, 3)) * [[3.0], [0.3], [0.05]]
+        simulation.set_loads([slot], link, force, torque, point, slot=slot)
+    position = simulation.get_snapshot().position
+    angles = random.uniform(-0.3, 0.3, (2, robot.num_hinges))
+    still = np.zeros((2, robot.num_coordinates))
+
+    def forces(angles: Array) -> Array:
+        simulation.place([0, 1], np.hstack([position[:, :7], angles]), still)
+        equation = simulation.dynamics()
+        return (equation.passive_force - equation.bias_force)[:, 6:]
+
+    turn = Rotation.from_quat(robot.base.quaternion, scalar_first=True).as_matrix()
+    found = _slope(simulation, np.array([0, 1]), arms(robot, angles), turn)
+    for hinge, step in enumerate(1e-5 * np.eye(robot.num_hinges)):
+        expected = (forces(angles + step) - forces(angles - step)) / 2e-5
+        np.testing.assert_allclose(found[:, :, hinge], expected, rtol=0, atol=1e-6)
 
 
 def test_a_turned_base_carries_the_whole_arm(engine: str, make: Make) -> None:

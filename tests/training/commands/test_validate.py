@@ -3,16 +3,32 @@
 from __future__ import annotations
 
 import json
+from contextlib import nullcontext
 from pathlib import Path
 
 import numpy as np
 import pytest
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
 from PIL import Image
 from scipy.optimize import bisect
 
+from backends.cosserat import plots
+from backends.cosserat.reference import Release, read_shapes
+from backends.cosserat.releases import Swing
+from backends.cosserat.statics import Fit, fit
 from cdcsr.errors import CdcsrError
 from cdcsr.simulation.contract import Array
-from tests.support.rods import DENSITY, LENGTH, STIFFNESS, file_vector, write_shapes
+from tests.support.rods import (
+    DENSITY,
+    DIRECTION,
+    LENGTH,
+    STIFFNESS,
+    elastica,
+    file_vector,
+    write_shapes,
+    write_tables,
+)
 from training.commands.validate import validate
 
 
@@ -70,6 +86,76 @@ def test_rods_are_held_against_exact_solutions(
     shown, mean = capsys.readouterr().out, 1e3 * np.mean(row["rests"][0]["tip_error"])
     assert f"tpu          10       2  {mean:13.3f} mm" in shown
     assert "1 releases, 25 links, root mean square tip distance: mean" in shown
+
+
+def test_weight_and_wrenches_at_the_middle_bend_as_textbooks_say(tmp_path: Path) -> None:
+    """A force or a torque at the middle bends the lower half, as an elastica or to an arc, and the
+    upper half goes on straight. A small weight w a metre bends a cantilever by w L^4 / (8 E I), and
+    its middle by 17/48 of that. The middle is in a joint of an odd number of links."""
+    force, torque, gravity, half = 2.0, 0.1, 0.004, LENGTH / 2
+    across, along = elastica(force, half, STIFFNESS)
+    radius, low = STIFFNESS / torque, DENSITY * gravity * LENGTH**4 / (8 * STIFFNESS)
+    bend = half / radius
+    middles = [(across, along), (radius * (1 - np.cos(bend)), radius * np.sin(bend))]
+    leans = [np.arcsin(force * along**2 / (2 * STIFFNESS)), bend]
+    tables = np.zeros((3, 6, 17))
+    tables[0, 3:, 1] = file_vector(force, 0.0)
+    tables[1, :3, 1] = torque * np.array([0, -DIRECTION[0], -DIRECTION[1]])
+    tables[2, 3:, 0] = file_vector(gravity, 0.0)
+    for table, middle, lean in zip(tables[:2], middles, leans, strict=True):
+        table[3:, 9] = file_vector(*middle)
+        table[3:, 16] = file_vector(*middle + half * np.array([np.sin(lean), np.cos(lean)]))
+    tables[2, 3:, 9], tables[2, 3:, 16] = file_vector(17 / 48 * low, half), file_vector(low, LENGTH)
+    write_tables(tmp_path, tables)
+    shapes = read_shapes(tmp_path, "tpu")
+    assert min(leans) > 0.5
+    for links in (8, 9, 25):
+        found, most = fit("tpu", links, shapes, "mujoco"), np.array([3 * half, half, low])
+        assert (found.tip_error < most / links**2).all()
+        assert (found.middle_error < most / links**2).all()
+
+
+def data_of(line: Line2D) -> Array:
+    """Return the points of a line, shape (n, 2)."""
+    return np.stack([np.asarray(line.get_xdata()), np.asarray(line.get_ydata())], axis=1)
+
+
+def test_the_figure_holds_errors_by_links_and_a_release(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    """Errors are in [mm], even and odd numbers of links apart; second order falls from the largest
+    error; of the release the part across the rod is drawn in which the tip moves most."""
+    figure = Figure()
+    monkeypatch.setattr(plots, "drawn", lambda *_: nullcontext(figure))
+    means = {12: 2e-3, 6: 8e-3, 5: 5e-3}
+    tips, errors = np.zeros((2, 3)), np.array([0.5, 1.5])
+    fits = [Fit(links, tips, errors * mean, tips[:, 0], 0.1) for links, mean in means.items()]
+    tip = np.stack([0.001 * np.arange(9.0), 0.02 - 0.01 * np.arange(9.0), np.full(9, 0.4)], axis=1)
+    release = Release(0.004, np.zeros(3), (np.zeros(6), np.zeros(6)), 0.5, tip)
+    ours, stacked = (Swing(scale * tip, np.zeros(9)) for scale in (1.1, 1.3))
+    plots.draw({"tpu": fits, "steel": fits[:1]}, (release, ours, stacked), tmp_path / "a.png")
+    rests, moving = (
+        {str(line.get_label()): data_of(line) for line in panel.lines} for panel in figure.axes
+    )
+    expected = {
+        "tpu, even": [[6, 8], [12, 2]],
+        "tpu, odd": [[5, 5]],
+        "steel, even": [[12, 2]],
+        "second order": [[5, 8], [6, 8 * 25 / 36], [12, 8 * 25 / 144]],
+        "rounding of the data": [[0, 0.1], [1, 0.1]],
+    }
+    assert list(rests) == list(expected)
+    for label, points in expected.items():
+        np.testing.assert_allclose(rests[label], points)
+    time = 0.5 * np.arange(7)  # of 4 s the first 3
+    assert len(moving) == 3
+    for scale, points in zip((1, 1.1, 1.3), moving.values(), strict=True):
+        np.testing.assert_allclose(points, np.stack([time, scale * (20 - 20 * time)], axis=1))
+    colors = [line.get_color() for line in figure.axes[0].lines[:3]]
+    assert colors[0] == colors[1] != colors[2]
+    figure.clear()
+    plots.draw({"tpu": fits}, None, tmp_path / "a.png")
+    assert len(figure.axes) == 1
 
 
 def test_without_releases_the_rest_is_measured(
