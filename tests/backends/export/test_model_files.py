@@ -184,6 +184,30 @@ def test_meshes_of_ones_own_travel_with_the_files(tmp_path: Path) -> None:
     assert b'"debris"' in (out / "planar-single.glb").read_bytes()
 
 
+def test_every_link_of_a_chain_keeps_its_own_mesh(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Read back, each part looks as before; what model files cannot hold is said."""
+    data = load_robot("paper").model_dump(mode="json")
+    for number, segment in enumerate(data["segments"]):
+        segment["cables"]["guide_friction"] = 0.1 * number
+        link = segment.pop("link")
+        segment |= {"links": 3, "chain": [dict(link) for _ in range(3)]}
+        for n, each in enumerate(segment["chain"]):
+            trimesh.creation.box((0.1, 0.1, 0.1 + 0.01 * n + 0.05 * number)).export(
+                tmp_path / f"{number}{n}.stl"
+            )
+            each["mesh"] = f"{number}{n}.stl" if n != number else None
+    (tmp_path / "own.toml").write_text(Robot.model_validate(data).to_toml())
+    build_model(str(tmp_path / "own.toml"), out=tmp_path / "out", backend="mujoco")
+    assert capsys.readouterr().err.count("leave out the friction of cables in their guides") == 1
+    before = visual_meshes(load_robot(tmp_path / "own.toml"))
+    after = visual_meshes(load_robot(tmp_path / "out" / "paper.toml"))
+    assert list(after) == list(before)
+    for part, mesh in before.items():
+        np.testing.assert_allclose(after[part].extents, mesh.extents, rtol=1e-6, err_msg=part)
+
+
 def test_an_existing_folder_is_refused_unless_forced(tmp_path: Path) -> None:
     out = tmp_path / "out"
     out.mkdir()
