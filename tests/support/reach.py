@@ -14,19 +14,41 @@ from numba.core.event import install_timer
 
 class Reach:
     """Finds which tests run which lines, and how long each takes but for compiling kernels, which
-    falls to the first that needs them."""
+    falls to the first that needs them. What a fixture runs that tests share, all of them run."""
 
     def __init__(self) -> None:
         self.coverage = Coverage(data_file=None, source=[str(Path.cwd())], branch=False)
         self.seconds: dict[str, float] = defaultdict(float)
+        self._sharing: dict[str, list[str]] = {}
+        self._test = ""
         self.coverage.start()
+
+    @pytest.hookimpl(wrapper=True)
+    def pytest_fixture_setup(
+        self, fixturedef: pytest.FixtureDef[object], request: pytest.FixtureRequest
+    ) -> Iterator[None]:
+        if fixturedef.scope == "function":
+            return (yield)
+        name = f"{fixturedef.baseid} {fixturedef.argname}"
+        self._sharing[name] = [
+            item.nodeid
+            for item in request.session.items
+            if item.nodeid.startswith(fixturedef.baseid)
+            and fixturedef.argname in getattr(item, "fixturenames", ())
+        ]
+        self.coverage.switch_context(name)
+        try:
+            return (yield)
+        finally:
+            self.coverage.switch_context(self._test)
 
     @pytest.hookimpl(wrapper=True)
     def pytest_runtest_protocol(self, item: pytest.Item) -> Iterator[None]:
         def compiling(seconds: float) -> None:
             self.seconds[item.nodeid] -= seconds
 
-        self.coverage.switch_context(item.nodeid)
+        self._test = item.nodeid
+        self.coverage.switch_context(self._test)
         with install_timer("numba:compile", compiling):
             result = yield
         self.coverage.switch_context("")
@@ -40,7 +62,10 @@ class Reach:
         self.coverage.stop()
         data = self.coverage.get_data()
         lines = {
-            str(Path(name).relative_to(Path.cwd())): data.contexts_by_lineno(name)
+            str(Path(name).relative_to(Path.cwd())): {
+                line: [test for each in contexts for test in self._sharing.get(each, [each])]
+                for line, contexts in data.contexts_by_lineno(name).items()
+            }
             for name in data.measured_files()
         }
         file.write_text(json.dumps({"seconds": self.seconds, "lines": lines}), "utf-8")
