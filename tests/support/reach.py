@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import sys
 from collections import defaultdict
 from collections.abc import Iterator
 from pathlib import Path
@@ -14,7 +15,8 @@ from numba.core.event import install_timer
 
 class Reach:
     """Finds which tests run which lines, and how long each takes but for compiling kernels, which
-    falls to the first that needs them. What a fixture runs that tests share, all of them run."""
+    falls to the first that needs them. What a fixture runs that tests share, all of them run; what
+    a function with a cache runs, every test that calls it."""
 
     def __init__(self) -> None:
         self.coverage = Coverage(data_file=None, source=[str(Path.cwd())], branch=False)
@@ -47,6 +49,11 @@ class Reach:
         def compiling(seconds: float) -> None:
             self.seconds[item.nodeid] -= seconds
 
+        for module in [*sys.modules.values()]:
+            if str(getattr(module, "__file__", "")).startswith(f"{Path.cwd()}/"):
+                for value in vars(module).values():
+                    if hasattr(value, "cache_clear"):
+                        value.cache_clear()
         self._test = item.nodeid
         self.coverage.switch_context(self._test)
         with install_timer("numba:compile", compiling):
