@@ -2,14 +2,18 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from typing import Any
+
 import numpy as np
+from array_api_compat import array_namespace
 from numpy.typing import NDArray
 
 from cdcsr.simulation.contract import State
 from cdcsr.tasks.observation import tip_distance
 from cdcsr.tasks.spaces import Space
 from cdcsr.tasks.target_motion import make_motion
-from cdcsr.tasks.task import Task, Verdict
+from cdcsr.tasks.task import Mask, Task, Verdict
 
 Array = NDArray[np.float64]
 
@@ -73,6 +77,45 @@ class Episodes:
         if drift is not None:
             self.drift[ids], self.targets[ids] = drift, self._place[ids]
             self.target_velocity[ids] = self._velocity[ids] + drift
+
+    def restart(self, fresh: Mask, place: Array, velocity: Array, memory: Array) -> None:
+        """Begin new episodes of some copies with motions that were drawn before.
+
+        This is :meth:`begin` for arrays of any library, and for a mask that only a device knows.
+
+        Args:
+            fresh: which copies, shape (num,).
+            place: where their targets begin, shape (num, 3), in [m]; other rows are ignored.
+            velocity: of the targets, shape (num, 3), in [m/s].
+            memory: of their motion, shape (num, its size).
+        """
+        where = array_namespace(place).where
+        begun = (self._place, place), (self._velocity, velocity), (self._motion_memory, memory)
+        for rows, new in begun:
+            rows[:] = where(fresh[:, None], new, rows)
+        for count in (self.actions_taken, *self.counts.values()):
+            count *= ~fresh
+
+    def convert(self, convert: Callable[[NDArray[np.generic]], Any]) -> None:
+        """Keep arrays of another library from here on.
+
+        Raises:
+            ValueError: targets drift with the robot, which only NumPy's do.
+        """
+        if self._drifts:
+            raise ValueError("Episodes with drifting targets keep NumPy's arrays.")
+        self.targets, self.target_velocity, self.drift, self._motion_memory, self.actions_taken = (
+            convert(rows)
+            for rows in (
+                self.targets,
+                self.target_velocity,
+                self.drift,
+                self._motion_memory,
+                self.actions_taken,
+            )
+        )
+        self._place, self._velocity = self.targets, self.target_velocity
+        self.counts = {name: convert(count) for name, count in self.counts.items()}
 
     def advance(self, steps: int, time_step: float) -> None:
         """Count an action, and move the targets on by `steps` steps of `time_step` seconds."""

@@ -2,8 +2,10 @@
 
 The algorithms compute their critics with :mod:`training.networks.compiled_ensemble`, which is
 faster on a processor. Their updates must equal this one, random draw for random draw; the tests
-run both side by side. Shapes: B transitions, E critics, C cables; F numbers of an encoded
-observation.
+run both side by side. On a graphics card this is the update itself: see :mod:`training.device`.
+
+Shapes: B transitions, E critics, C cables; F numbers of an encoded observation. "..." stands for
+nothing, or for runs that learn side by side and do not know of each other.
 
 Sources: TD3 is Fujimoto et al. 2018, the random subset of critics is REDQ (Chen et al. 2021,
 eq. 1), BATD3's target is Tian et al., eqs. 5 to 7, RBL's soft Q-filter is Haldar et al. 2022,
@@ -12,8 +14,9 @@ eq. 6, and self-imitation is Oh et al. 2018, eq. 2.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import NamedTuple, Protocol
 
 import torch
 from torch import Generator, Tensor
@@ -26,17 +29,19 @@ from training.algorithms.rbl import RBLNumbers
 from training.algorithms.td3 import BackboneNumbers, TD3Numbers
 from training.experience.replay import Batch
 
+Activation = Callable[[Tensor], Tensor]
+
 
 class Layer(NamedTuple):
     """One layer of E networks side by side."""
 
     weight: Tensor
-    """(E, n, m)."""
+    """(..., E, n, m)."""
     bias: Tensor
-    """(E, 1, m)."""
+    """(..., E, 1, m)."""
     gain: Tensor | None = None
     shift: Tensor | None = None
-    """The gain and shift of LayerNorm, (E, 1, m), or None."""
+    """The gain and shift of LayerNorm, (..., E, 1, m), or None."""
 
 
 @dataclass
@@ -49,113 +54,176 @@ class Networks:
     target_critics: list[Layer]
     actor_optimizer: torch.optim.Optimizer
     critic_optimizer: torch.optim.Optimizer
-    updates: int = 0
+    updates: Tensor
+    """How many updates have begun, a whole number of shape ()."""
+
+
+class Draws(Protocol):
+    """Draw what an update needs at random."""
+
+    def normal(self, like: Tensor) -> Tensor:
+        """Return normal deviates of the shape of a tensor."""
+        ...
+
+    def uniform(self, like: Tensor) -> Tensor:
+        """Return numbers from 0 to 1 of the shape of a tensor."""
+        ...
+
+    def below(self, limit: int, num: int) -> Tensor:
+        """Return whole numbers from 0 to limit - 1, shape (..., num)."""
+        ...
+
+    def subset(self, limit: int, num: int) -> Tensor:
+        """Return as many different whole numbers below a limit, shape (..., num)."""
+        ...
+
+
+class GeneratorDraws:
+    """The draws of the algorithms: those of one run, from PyTorch's generator."""
+
+    def __init__(self, generator: Generator) -> None:
+        self._generator = generator
+
+    def normal(self, like: Tensor) -> Tensor:
+        return torch.randn(like.shape, generator=self._generator)
+
+    def uniform(self, like: Tensor) -> Tensor:
+        return torch.rand(like.shape, generator=self._generator)
+
+    def below(self, limit: int, num: int) -> Tensor:
+        return torch.randint(limit, (num,), generator=self._generator)
+
+    def subset(self, limit: int, num: int) -> Tensor:
+        return torch.randperm(limit, generator=self._generator)[:num]
 
 
 def update(
     networks: Networks,
     batch: Batch,
     learner: BackboneNumbers,
-    generator: Generator,
+    draws: Draws,
     shown: tuple[Tensor, Tensor] | None = None,
-) -> None:
-    """Update the critics, and the actor when its turn comes, in place.
+    *,
+    actors_turn: bool,
+) -> dict[str, Tensor]:
+    """Update the critics, and the actor if it is its turn, in place.
 
     Args:
         networks: the weights.
-        batch: drawn from the replay; its observations are encoded, shape (B, F).
+        batch: drawn from the replay; its observations are encoded, shape (..., B, F).
         learner: the numbers of the algorithm; their class says which losses apply.
-        generator: draws target noise, subsets of critics and choices, in the algorithms' order.
+        draws: draws target noise, subsets of critics and choices, in the algorithms' order.
         shown: for RBL the demonstrations: encoded observations (N, F) and actions (N, C).
+        actors_turn: whether this is an update of the actor too, one of `policy_delay`.
+
+    Returns:
+        Losses and the mean value, each of shape (...).
     """
     networks.updates += 1
     with torch.no_grad():
-        value = next_value(networks, batch, learner, generator)
+        value = next_value(networks, batch, learner, draws)
         target = batch.reward + batch.discount * value  # n-step: both come from the replay
         if isinstance(learner, TD3Numbers) and learner.clip_targets:
             target = target.clamp(0, 1)
-    errors = values(networks.critics, batch.observation, batch.action) - target
-    descend(networks.critic_optimizer, errors.square().mean(1).sum())
+    found = values(networks.critics, batch.observation, batch.action)
+    losses = (found - target.unsqueeze(-2)).square().mean(-1)
+    descend(networks.critic_optimizer, losses.sum())
+    metrics = {"critic_loss": losses.detach().mean(-1), "value": found.detach().mean((-1, -2))}
     average(networks.target_critics, networks.critics, learner.soft_update)
-    if networks.updates % learner.policy_delay == 0:
-        loss = actor_loss(networks, batch, learner, generator, shown)
-        descend(networks.actor_optimizer, loss)
+    if actors_turn:
+        loss = actor_loss(networks, batch, learner, draws, shown)
+        descend(networks.actor_optimizer, loss.sum())
         average(networks.target_actor, networks.actor, learner.soft_update)
+        metrics["actor_loss"] = loss.detach()
+    return metrics
 
 
-def next_value(
-    networks: Networks, batch: Batch, learner: BackboneNumbers, generator: Generator
-) -> Tensor:
-    """Return the value at the end of each transition, shape (B,)."""
-    action = torch.tanh(outputs(networks.target_actor, batch.next_observation)[0])
-    noise = torch.randn(action.shape, generator=generator) * learner.target_noise
+def next_value(networks: Networks, batch: Batch, learner: BackboneNumbers, draws: Draws) -> Tensor:
+    """Return the value at the end of each transition, shape (..., B)."""
+    action = torch.tanh(output(networks.target_actor, batch.next_observation))
+    noise = draws.normal(action) * learner.target_noise
     action = (action + noise.clamp(-learner.noise_clip, learner.noise_clip)).clamp(-1, 1)
-    drawn = draw(learner, generator)
+    drawn = draw(learner, draws)
 
     def least(action: Tensor) -> Tensor:
-        return values(networks.target_critics, batch.next_observation, action)[drawn].amin(0)
+        return chosen(values(networks.target_critics, batch.next_observation, action), drawn).amin(
+            -2
+        )
 
     policy = least(action)
     if not isinstance(learner, AssistedNumbers):
         return policy
     clone = least(batch.next_bc_action)
     probability = torch.sigmoid(learner.softmax_temperature * (clone - policy))
-    follows = torch.rand(probability.shape, generator=generator) < probability
-    return torch.where(follows, clone, policy)
+    return torch.where(draws.uniform(probability) < probability, clone, policy)
 
 
 def actor_loss(
     networks: Networks,
     batch: Batch,
     learner: BackboneNumbers,
-    generator: Generator,
+    draws: Draws,
     shown: tuple[Tensor, Tensor] | None,
 ) -> Tensor:
-    """Return the loss of the actor."""
-    logits = outputs(networks.actor, batch.observation)[0]
+    """Return the loss of the actor, shape (...)."""
+    logits = output(networks.actor, batch.observation)
     action = torch.tanh(logits)
-    saturation = learner.saturation_penalty * functional.relu(logits.abs() - 3).square().mean()
-    if isinstance(learner, CLASPNumbers):  # one critic judges
-        drawn = torch.randint(learner.critics, (1,), generator=generator)
-    else:
-        drawn = draw(learner, generator)
-    value = values(networks.critics, batch.observation, action)[drawn].mean(0)
+    excess = functional.relu(logits.abs() - 3).square().mean((-1, -2))
+    saturation = learner.saturation_penalty * excess
+    one = isinstance(learner, CLASPNumbers)  # one critic judges
+    drawn = draws.below(learner.critics, 1) if one else draw(learner, draws)
+    value = chosen(values(networks.critics, batch.observation, action), drawn).mean(-2)
     if isinstance(learner, RBLNumbers) and shown is not None:
-        clone = values(networks.critics, batch.observation, batch.bc_action)[drawn].mean(0)
-        share = (clone > value).float().mean()
-        chosen = torch.randint(len(shown[0]), (learner.batch_size,), generator=generator)
-        imitated = torch.tanh(outputs(networks.actor, shown[0][chosen])[0])
-        imitation = (imitated - shown[1][chosen]).square().mean()
-        return saturation + share * imitation - (1 - share) * value.mean()
-    loss = saturation - value.mean()
+        clone = values(networks.critics, batch.observation, batch.bc_action)
+        share = (chosen(clone, drawn).mean(-2) > value).to(value.dtype).mean(-1)
+        rows = draws.below(len(shown[0]), learner.batch_size)
+        imitated = torch.tanh(output(networks.actor, shown[0][rows]))
+        imitation = (imitated - shown[1][rows]).square().mean((-1, -2))
+        return saturation + share * imitation - (1 - share) * value.mean(-1)
+    loss = saturation - value.mean(-1)
     if isinstance(learner, Imitation):
-        left = max(0.0, 1 - networks.updates / learner.anchor_updates)
+        left = (1 - networks.updates.to(value.dtype) / learner.anchor_updates).clamp_min(0)
         weight = learner.anchor_floor + left * (learner.clone_anchor - learner.anchor_floor)
         better = learner.self_imitation * (batch.outcome - value.detach()).clamp_min(0)
-        loss = loss + weight * (action - batch.bc_action).square().mean()
-        loss = loss + (better * (action - batch.action).square().mean(1)).mean()
+        loss = loss + weight * (action - batch.bc_action).square().mean((-1, -2))
+        loss = loss + (better * (action - batch.action).square().mean(-1)).mean(-1)
     return loss
 
 
-def outputs(layers: list[Layer], inputs: Tensor) -> Tensor:
-    """Return the outputs of stacked ReLU networks: (B, n) -> (E, B, m)."""
+def outputs(
+    layers: list[Layer], inputs: Tensor, activation: Activation = functional.relu
+) -> Tensor:
+    """Return the outputs of stacked networks: (..., B, n) -> (..., E, B, m)."""
+    inputs = inputs.unsqueeze(-3)
     for weight, bias, gain, shift in layers[:-1]:
         inputs = inputs @ weight + bias
         if gain is not None and shift is not None:
             inputs = functional.layer_norm(inputs, inputs.shape[-1:]) * gain + shift
-        inputs = functional.relu(inputs)
+        inputs = activation(inputs)
     return inputs @ layers[-1].weight + layers[-1].bias
 
 
+def output(actor: list[Layer], inputs: Tensor, activation: Activation = functional.relu) -> Tensor:
+    """Return the outputs of a stack of one network: (..., B, n) -> (..., B, m)."""
+    return outputs(actor, inputs, activation).squeeze(-3)
+
+
 def values(critics: list[Layer], encoded: Tensor, action: Tensor) -> Tensor:
-    """Return the action values of all critics: (B, F) and (B, C) -> (E, B)."""
-    return outputs(critics, torch.cat([encoded, action], 1))[..., 0]
+    """Return the action values of all critics: (..., B, F) and (..., B, C) -> (..., E, B)."""
+    return outputs(critics, torch.cat([encoded, action], -1)).squeeze(-1)
 
 
-def draw(learner: BackboneNumbers, generator: Generator) -> Tensor:
-    """Return Z of E critics: all of them, or a random subset."""
+def draw(learner: BackboneNumbers, draws: Draws) -> Tensor | None:
+    """Return Z of E critics: all of them (None), or a random subset, shape (..., Z)."""
     num, drawn = learner.critics, learner.target_critics
-    return torch.arange(num) if drawn == num else torch.randperm(num, generator=generator)[:drawn]
+    return None if drawn == num else draws.subset(num, drawn)
+
+
+def chosen(values: Tensor, members: Tensor | None) -> Tensor:
+    """Return the rows of some critics: (..., E, B) -> (..., Z, B)."""
+    if members is None:
+        return values
+    return values.gather(-2, members[..., None].expand(*members.shape, values.shape[-1]))
 
 
 def descend(optimizer: torch.optim.Optimizer, loss: Tensor) -> None:

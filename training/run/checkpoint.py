@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import hashlib
 import json
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, NamedTuple, TypedDict
 
@@ -75,7 +77,18 @@ def save_state(path: Path, parts: Parts, counters: Counters) -> None:
         "updates": parts.algorithm.updates,
         "generators": {name: g.bit_generator.state for name, g in parts.generators.items()},
     }
-    meta["robot"] = parts.collector.env.robot.to_toml()
+    write_state(path, tensors, meta, parts.collector.env.robot)
+
+
+def write_state(
+    path: Path, tensors: dict[str, torch.Tensor], meta: JsonObject, robot: Robot
+) -> None:
+    """Write tensors and plain data; the file is complete or, if interrupted, the one before.
+
+    Raises:
+        CdcsrError: the file cannot be written.
+    """
+    meta = {**meta, "robot": robot.to_toml()}
     meta["digest"] = _digest(tensors, meta)
     rows = {key: value.contiguous() for key, value in tensors.items()}
     with replacing(path) as temporary:
@@ -91,17 +104,7 @@ def load_state(path: Path, parts: Parts) -> Counters:
     Raises:
         CdcsrError: the file is damaged.
     """
-    try:
-        with safe_open(path, framework="pt") as file:
-            names = list(file.keys())
-            tensors = {name: file.get_tensor(name) for name in names}
-            meta = json.loads(file.metadata()[_META])
-        expected = meta.pop("digest", None)
-        if expected is None:
-            note(f"{path} is of an older version, without a digest; damage would not be seen.")
-        elif expected != _digest(tensors, meta):
-            raise ValueError(f"its content has not the digest {str(expected)[:16]}")
-        _check_robot(path, meta.get("robot"), parts.collector.env.robot)
+    with reading_state(path, parts.collector.env.robot) as (tensors, meta):
         for name, module in _modules(parts.algorithm).items():
             module.load_state_dict(_below(tensors, f"{name}."))
         for name, optimizer in _optimizers(parts.algorithm).items():
@@ -122,13 +125,34 @@ def load_state(path: Path, parts: Parts) -> Counters:
         for name, generator in parts.generators.items():
             generator.bit_generator.state = meta["generators"][name]
         parts.torch_generator.set_state(tensors["torch_generator"])
+    return meta["counters"]
+
+
+@contextmanager
+def reading_state(path: Path, robot: Robot) -> Iterator[tuple[dict[str, torch.Tensor], JsonObject]]:
+    """Read what :func:`write_state` wrote; what goes wrong inside means that it is damaged.
+
+    Raises:
+        CdcsrError: it is damaged, or of another robot.
+    """
+    try:
+        with safe_open(path, framework="pt") as file:
+            names = list(file.keys())
+            tensors = {name: file.get_tensor(name) for name in names}
+            meta = json.loads(file.metadata()[_META])
+        expected = meta.pop("digest", None)
+        if expected is None:
+            note(f"{path} is of an older version, without a digest; damage would not be seen.")
+        elif expected != _digest(tensors, meta):
+            raise ValueError(f"its content has not the digest {str(expected)[:16]}")
+        _check_robot(path, meta.get("robot"), robot)
+        yield tensors, meta
     except (OSError, SafetensorError, KeyError, ValueError, RuntimeError, TypeError) as error:
         reason = str(error).split("\n")[0]
         raise CdcsrError(
             f"The saved state {path} is damaged ({type(error).__name__}: {reason}); start anew "
             "with --force."
         ) from None
-    return meta["counters"]
 
 
 def _check_robot(path: Path, found: str | None, robot: Robot) -> None:

@@ -26,11 +26,12 @@ from cdcsr.tasks.symmetry import images
 from cdcsr.tasks.task import Reward, Task
 from controllers import demonstrations
 from controllers.jacobian import JacobianController
-from controllers.rollout import Episode
+from controllers.rollout import Episode, rollout
 from training.algorithms.registry import find_algorithm
 from training.algorithms.td3 import BackboneNumbers
-from training.config.learner import Demonstrated, Practising
+from training.config.learner import CloneRollouts, Demonstrated, Practising
 from training.config.seeds import VALIDATION_SEED
+from training.experience.collector import FinishedEpisode
 from training.measure.evaluation import Result, evaluate
 from training.networks.actor import Actor
 from training.networks.bfloat16 import has_fast_bfloat16
@@ -175,6 +176,33 @@ class Setup:
             start=config.start,
             **options,
         )
+
+    def first_episodes(self, actor: Actor, clone: Actor | None) -> list[FinishedEpisode]:
+        """Return what the algorithm's replay begins with: demonstrations, and what a clone reached.
+
+        Args:
+            actor: maps commands to actions.
+            clone: the behaviour clone, if the algorithm has one.
+        """
+        kind, learner = find_algorithm(self.config.algorithm).learner, self.learner
+        episodes = list(self.episodes) if kind is not None and kind.uses_demonstrations else []
+        if clone is not None and isinstance(learner, CloneRollouts):
+            env = self.environment(
+                learner.bc_rollouts, self.config.space, autoreset_mode="Disabled"
+            )
+            observation, _ = env.reset(seed=self.config.seed)
+            episodes += rollout(self.policy(clone, "bc"), env, observation).successes()
+            env.close()
+        return [
+            FinishedEpisode(
+                episode.observations,
+                actor.from_command(as_tensor(episode.actions)).numpy(),
+                episode.rewards,
+                True,
+                episode.terminated,
+            )
+            for episode in episodes
+        ]
 
     def policy(self, actor: Actor, algorithm: str, **more: object) -> Policy:
         """Return an actor as a policy with its card.

@@ -18,18 +18,17 @@ from cdcsr.files import write_bytes, write_json
 from cdcsr.reading import MOST_RECORD, read_bytes
 from cdcsr.simulation.randomization import Randomization
 from cdcsr.tasks.spaces import wider_targets
-from controllers.rollout import rollout
 from training.algorithms.bc import BehaviourCloning, Progress, imitate
 from training.algorithms.registry import find_algorithm
 from training.algorithms.td3 import TD3, BackboneNumbers
-from training.config.learner import CloneRollouts, CloneStart, Cloning, Demonstrated
-from training.experience.collector import Collector, FinishedEpisode, exploration_noise
+from training.config.learner import CloneStart, Cloning, Demonstrated
+from training.experience.collector import Collector, exploration_noise
 from training.experience.mixed_replay import MixedReplay
 from training.networks.actor import Actor
 from training.policy import Policy, load_policy
 from training.run.checkpoint import Counters, Parts, load_state, save_state
 from training.run.metrics import Meter, Metrics
-from training.run.setup import Setup, as_tensor
+from training.run.setup import Setup
 from training.run.trackers import start_tracker
 from training.run.train_options import RUN_FOLDER, STATE, SUMMARY, Train, read_older
 
@@ -199,25 +198,8 @@ class Run:
     def _begin(self, parts: Parts, clone: BehaviourCloning | None) -> None:
         """Fill the replay and start the actor as the algorithm asks."""
         setup, learner, algorithm = self.setup, self.setup.learner, parts.algorithm
-        episodes = list(setup.episodes) if algorithm.uses_demonstrations else []
-        if clone is not None and isinstance(learner, CloneRollouts):
-            env = setup.environment(
-                learner.bc_rollouts, self.config.space, autoreset_mode="Disabled"
-            )
-            observation, _ = env.reset(seed=self.config.seed)
-            policy = setup.policy(clone.actor, "bc")
-            episodes += rollout(policy, env, observation).successes()
-            env.close()
-        parts.replay.prefill(
-            FinishedEpisode(
-                episode.observations,
-                algorithm.actor.from_command(as_tensor(episode.actions)).numpy(),
-                episode.rewards,
-                True,
-                episode.terminated,
-            )
-            for episode in episodes
-        )
+        cloned = None if clone is None else clone.actor
+        parts.replay.prefill(setup.first_episodes(algorithm.actor, cloned))
         if isinstance(learner, CloneStart) and learner.clone_start:
             with _bar("actor", learner.bc_updates) as progress:
                 imitate(algorithm.actor, learner, *setup.pairs(), parts.torch_generator, progress)

@@ -11,12 +11,18 @@ from torch import Tensor
 
 from cdcsr.robot.description import Robot
 from cdcsr.tasks.observation import observation_size
-from tests.support.stacked import stacked_actor, stacked_ensemble
 from training.algorithms.clasp import CLASP
-from training.algorithms.reference_update import Layer, Networks, parameters, update
+from training.algorithms.reference_update import (
+    GeneratorDraws,
+    Layer,
+    Networks,
+    parameters,
+    update,
+)
 from training.algorithms.registry import ALGORITHMS, own_numbers
 from training.algorithms.td3 import TD3, BackboneNumbers
 from training.config.run_description import PresetName
+from training.device.networks import stacked_actor, stacked_ensemble
 from training.experience.replay import Batch
 
 Make = Callable[..., TD3[BackboneNumbers]]
@@ -79,7 +85,8 @@ def _compare(
     actor, critics = (
         torch.optim.Adam(parameters(stack), lr=learner.learning_rate) for stack in stacks[:2]
     )
-    networks, encode = Networks(*stacks, actor, critics), algorithm.actor.encoder
+    networks = Networks(*stacks, actor, critics, torch.zeros((), dtype=torch.int64))
+    encode, reference = algorithm.actor.encoder, GeneratorDraws(draws[1])
     generator = torch.Generator().manual_seed(2)
     seen = _batch(robot, dtype, generator)
     algorithm.show(seen.observation, algorithm.actor.to_command(seen.action))
@@ -90,7 +97,8 @@ def _compare(
         batch = batch._replace(
             observation=encode(batch.observation), next_observation=encode(batch.next_observation)
         )
-        update(networks, batch, learner, draws[1], shown)
+        turn = algorithm.updates % learner.policy_delay == 0
+        update(networks, batch, learner, reference, shown, actors_turn=turn)
     tolerance = 1e-10 if dtype == torch.float64 else 1e-4
     for ours, theirs in zip(stacks, _stacks(algorithm), strict=True):
         for a, b in zip(parameters(ours), parameters(theirs), strict=True):

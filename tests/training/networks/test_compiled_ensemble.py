@@ -10,8 +10,8 @@ import pytest
 import torch
 from torch import Tensor, nn
 
-from tests.support.stacked import stacked_ensemble
 from training.algorithms.reference_update import Layer, outputs, parameters
+from training.device.networks import stacked_ensemble
 from training.networks import ensemble_kernels as kernel
 from training.networks.compiled_ensemble import Ensemble
 

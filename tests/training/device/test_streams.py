@@ -1,0 +1,66 @@
+"""Random numbers for runs side by side."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import torch
+from scipy import stats
+
+from training.device.streams import Streams, keys
+
+CPU = torch.device("cpu")
+
+
+def test_bits_are_those_of_splitmix64() -> None:
+    # Published values for the state 1234567.
+    expected = [
+        6457827717110365317,
+        3203168211198807973,
+        9817491932198370423,
+        4593380528125082431,
+        16408922859458223821,
+    ]
+    streams = Streams([1234567], CPU)
+    found = torch.cat([streams.bits(2), streams.bits(3)], 1)[0]
+    assert [int(number) & (2**64 - 1) for number in found] == expected
+
+
+def test_distributions() -> None:
+    streams, like = Streams(keys([0, 1], 0), CPU), torch.zeros(2, 100_000)
+    for run in streams.uniform(like).numpy():
+        assert stats.kstest(run, "uniform").pvalue > 1e-3
+        assert run.min() > 0
+        assert run.max() < 1
+    first, second = streams.normal(like).numpy()
+    assert stats.kstest(first, "norm").pvalue > 1e-3
+    assert abs(np.corrcoef(first, second)[0, 1]) < 5 / np.sqrt(100_000)
+    assert abs(np.corrcoef(first[1:], first[:-1])[0, 1]) < 5 / np.sqrt(100_000)
+    counts = torch.bincount(streams.below(7, 70_000)[0], minlength=7).numpy()
+    assert stats.chisquare(counts).pvalue > 1e-3
+    pairs = np.array([np.sort(streams.subset(4, 2)[0].numpy()) for _ in range(6_000)])
+    counts = np.bincount(pairs[:, 0] * 4 + pairs[:, 1], minlength=16)
+    assert stats.chisquare(counts[[1, 2, 3, 6, 7, 11]]).pvalue > 1e-3
+    assert counts.sum() == counts[[1, 2, 3, 6, 7, 11]].sum()  # two different ones
+
+
+def test_extremes_stay_finite() -> None:
+    streams = Streams([0], CPU)
+    lowest, highest = torch.zeros(1, 1, dtype=torch.int64), torch.full((1, 1), -1)
+    for bits in (lowest, highest):
+        streams.bits = lambda num, bits=bits: bits  # type: ignore[method-assign]  # noqa: ARG005
+        assert torch.isfinite(streams.normal(torch.zeros(1, 1))).all()
+
+
+def test_a_run_draws_alone_what_it_draws_beside_others() -> None:
+    together, alone = Streams(keys([3, 4, 5], 1), CPU), Streams(keys([5], 1), CPU)
+    for _ in range(3):
+        ours, theirs = (s.normal(torch.zeros(n, 2, 5)) for s, n in ((together, 3), (alone, 1)))
+        assert torch.equal(ours[2:], theirs)
+    assert int(together.drawn) == int(alone.drawn) == 30
+
+
+@pytest.mark.parametrize("purpose", [0, 1])
+def test_keys_differ(purpose: int) -> None:
+    found = keys(range(1000), purpose)
+    assert len({*found, *keys(range(1000), 1 - purpose)}) == 2000

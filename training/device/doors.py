@@ -1,0 +1,126 @@
+"""What a learner on a device asks of an engine: states and commands as tensors that stay there."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import fields
+from typing import NamedTuple, Protocol, cast
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+
+from cdcsr.errors import Diverged
+from cdcsr.robot.description import Robot
+from cdcsr.simulation.contract import Simulation, Snapshot
+from cdcsr.simulation.state import State
+
+_SNAPSHOT = "time", "position", "velocity", "private"
+
+
+class DeviceState(Protocol):
+    """The state of all copies as tensors; those of :class:`cdcsr.simulation.state.State`."""
+
+    tip_position: Tensor
+    tip_velocity: Tensor
+    base_position: Tensor
+    base_quaternion: Tensor
+    diverged: Tensor
+    """Whether a copy has diverged since its last reset, shape (num,)."""
+
+
+class Door(Protocol):
+    """Copies of a robot whose states and commands are tensors on one device."""
+
+    robot: Robot
+    num: int
+
+    def device_state(self) -> DeviceState:
+        """Return the state; it may change with the next step."""
+        ...
+
+    def step_device(self, command: Tensor, substeps: int = 1) -> None:
+        """Advance all copies; commands have the shape (num, C), in [m] or [N]."""
+        ...
+
+    def reset_device(self, mask: Tensor) -> None:
+        """Put copies back to the start; the mask has the shape (num,)."""
+        ...
+
+    def close(self) -> None:
+        """Release the engine."""
+        ...
+
+
+class HostDoor:
+    """A door for any engine: tensors go through NumPy's arrays and come back.
+
+    Args:
+        simulation: of the engine.
+        device: where the tensors are.
+    """
+
+    def __init__(self, simulation: Simulation, device: torch.device) -> None:
+        self._simulation, self._device = simulation, device
+        self.robot, self.num = simulation.robot, simulation.num
+        self._lost = np.zeros(self.num, dtype=np.bool_)
+
+    def device_state(self) -> DeviceState:
+        state = self._simulation.state()
+        parts = {f.name: self._tensor(getattr(state, f.name)) for f in fields(State)}
+        return cast(DeviceState, _HostState(**parts, diverged=self._tensor(self._lost)))
+
+    def step_device(self, command: Tensor, substeps: int = 1) -> None:
+        try:
+            self._simulation.step(command.cpu().numpy().astype(np.float64), substeps)
+        except Diverged as error:
+            self._lost[list(error.copies)] = True
+            self._simulation.reset(error.copies)
+
+    def reset_device(self, mask: Tensor) -> None:
+        chosen = mask.cpu().numpy()
+        self._lost[chosen] = False
+        if chosen.any():
+            self._simulation.reset(np.flatnonzero(chosen))
+
+    def close(self) -> None:
+        self._simulation.close()
+
+    def _tensor(self, array: NDArray[np.generic]) -> Tensor:
+        kind = torch.bool if array.dtype == np.bool_ else torch.float32
+        return torch.tensor(array, dtype=kind, device=self._device)
+
+
+class _HostState(NamedTuple):
+    time: Tensor
+    tip_position: Tensor
+    tip_velocity: Tensor
+    base_position: Tensor
+    base_quaternion: Tensor
+    base_velocity: Tensor
+    base_angular_velocity: Tensor
+    cable_travel: Tensor
+    cable_tension: Tensor
+    joint_angles: Tensor
+    joint_rates: Tensor
+    diverged: Tensor
+
+
+def open_door(simulation: Simulation, device: torch.device) -> Door:
+    """Return the engine's own door, if it has one, or one through NumPy's arrays."""
+    if hasattr(simulation, "device_state"):
+        return cast(Door, simulation)
+    return HostDoor(simulation, device)
+
+
+def snapshot_arrays(simulation: Simulation) -> dict[str, NDArray[np.float64]]:
+    """Return all that determines the future of a simulation without delayed commands."""
+    snapshot = simulation.get_snapshot()
+    return {name: getattr(snapshot, name) for name in _SNAPSHOT}
+
+
+def restore(simulation: Simulation, arrays: Mapping[str, NDArray[np.float64]]) -> None:
+    """Go on from what :func:`snapshot_arrays` returned."""
+    parts = {name: arrays[name] for name in _SNAPSHOT}
+    simulation.set_snapshot(Snapshot(simulation.engine, simulation.robot.fingerprint, **parts))

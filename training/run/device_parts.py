@@ -1,0 +1,176 @@
+"""Make the parts of runs that learn side by side on one device."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from copy import deepcopy
+from typing import Any, NamedTuple
+
+import torch
+from torch import nn
+from torch.nn import functional
+from tqdm import tqdm
+
+from cdcsr.errors import CdcsrError
+from cdcsr.simulation.contract import Simulation
+from cdcsr.simulation.engines import make_simulation
+from cdcsr.tasks.spaces import Space, make_space, wider_targets
+from training.algorithms.bc import pairs
+from training.algorithms.registry import find_algorithm
+from training.algorithms.td3 import TD3, BackboneNumbers
+from training.config.learner import CloneStart, Cloning, Demonstrated
+from training.device.collector import DeviceCollector, Work
+from training.device.doors import open_door
+from training.device.imitation import imitate
+from training.device.learner import DeviceLearner, make_networks
+from training.device.networks import copied, side_by_side, stacked_actor, write_actor
+from training.device.replay import DeviceReplay
+from training.experience.mixed_replay import MixedReplay
+from training.experience.replay import Replay
+from training.networks.actor import Actor
+from training.policy import load_policy
+from training.run.setup import Setup
+from training.run.train_options import STATE
+
+_CLONE, _START = 3, 4
+"""Purposes of random numbers."""
+
+
+class DeviceParts(NamedTuple):
+    """What learning changes, and networks on the processor to measure and keep."""
+
+    learner: DeviceLearner
+    simulation: Simulation
+    actors: list[Actor]
+    """One for each run; the learner does not know them."""
+
+
+def check_device(setup: Setup) -> tuple[type[TD3[BackboneNumbers]], BackboneNumbers]:
+    """Return the algorithm of a run and its numbers.
+
+    Raises:
+        CdcsrError: it asks for something that only `--device cpu` can do.
+    """
+    config, learner = setup.config, setup.learner
+    kind = find_algorithm(config.algorithm).learner
+    if kind is None or not isinstance(learner, BackboneNumbers):
+        raise CdcsrError(f"device must be cpu for {config.algorithm}, which is supervised.")
+    for name, value, only in (
+        ("hindsight", learner.hindsight, 0),
+        ("bfloat16", learner.bfloat16, False),
+        ("start", config.start, "still"),
+        ("randomize", config.randomize, 0.0),
+        ("soften", config.soften, 0.0),
+    ):
+        if value != only:
+            raise CdcsrError(
+                f"{name} must be {only} with device cuda, which knows nothing else; found {value}. "
+                "Choose device cpu."
+            )
+    return kind, learner
+
+
+def make_parts(setups: Sequence[Setup], device: torch.device) -> DeviceParts:
+    """Make the parts of runs that differ in nothing but their seeds; all have begun."""
+    kind, learner = check_device(setups[0])
+    algorithms = []
+    for setup in setups:  # each has the weights that it would have alone
+        torch.manual_seed(setup.config.seed)
+        algorithms.append(kind(setup.robot, learner, torch.Generator()))
+    actors = [one.actor for one in algorithms]
+    clones = _clones(setups, learner, device) if kind.uses_clone else None
+    resumed = all((setup.config.out / STATE).exists() for setup in setups)
+    if isinstance(learner, CloneStart) and learner.clone_start and not resumed:
+        _imitate("actor", setups, actors, _START, learner, device)
+    # The environment says what the task is with its period.
+    env = setups[0].environment(1, setups[0].config.space)
+    work = Work(env.task, _space(setups[0], learner), env.frame_skip)
+    env.close()
+    kept = [
+        _prefilled(setup, actor, clone, work, learner)
+        for setup, actor, clone in zip(setups, actors, clones or [None] * len(actors), strict=True)
+    ]
+    networks, module = make_networks(algorithms, learner, device), deepcopy(actors[0]).to(device)
+    robot, seeds = setups[0].robot, [setup.config.seed for setup in setups]
+    simulation = make_simulation(robot, setups[0].config.backend, len(seeds) * learner.num_envs)
+    shape = len(seeds), learner.num_envs, learner.capacity // learner.num_envs
+    sizes = len(module.encoder.offset), robot.num_cables
+    replay = DeviceReplay(
+        shape, sizes, env.max_actions, learner.discount, learner.return_steps, kept, device
+    )
+    door = open_door(simulation, device)
+    collector = DeviceCollector(door, work, learner, seeds, module, replay, device)
+    cloned = None if clones is None else side_by_side([stacked_actor(x) for x in clones], device)
+    collector.start(networks.actor, None if cloned is None else copied(cloned))
+    shown = None
+    if kind.uses_demonstrations:
+        seen, wanted = pairs(actors[0], *setups[0].pairs())
+        shown = seen.to(device), wanted.to(device)
+    parts = DeviceLearner(
+        learner, networks, collector, replay, module.encoder, shown, seeds, device
+    )
+    return DeviceParts(parts, simulation, actors)
+
+
+def _clones(setups: Sequence[Setup], learner: BackboneNumbers, device: torch.device) -> list[Actor]:
+    """Train the behaviour clones or, if that is done, read them back."""
+    folders = [setup.config.out / "clone" for setup in setups]
+    if all((folder / "policy.json").is_file() for folder in folders):
+        return [load_policy(folder).actor for folder in folders]
+    clones, error = [], learner.features == "state+error"
+    for setup in setups:
+        torch.manual_seed(setup.config.seed)
+        clones.append(Actor(setup.robot, error, learner.hidden, "tanh", learner.symmetry))
+    _imitate("clone", setups, clones, _CLONE, learner, device)
+    for setup, folder, clone in zip(setups, folders, clones, strict=True):
+        clone.requires_grad_(False)
+        setup.policy(clone, "bc").save(folder)
+    return clones
+
+
+def _imitate(
+    what: str,
+    setups: Sequence[Setup],
+    actors: Sequence[Actor],
+    purpose: int,
+    learner: BackboneNumbers,
+    device: torch.device,
+) -> None:
+    """Train actors to do as the demonstrator does, and show the progress."""
+    assert isinstance(learner, Cloning)
+    layers = side_by_side([stacked_actor(actor) for actor in actors], device)
+    hidden = torch.tanh if isinstance(actors[0].net[1], nn.Tanh) else functional.relu
+    seen, wanted = pairs(actors[0], *setups[0].pairs())
+    shown, seeds = (seen.to(device), wanted.to(device)), [setup.config.seed for setup in setups]
+    with tqdm(total=learner.bc_updates, desc=what, unit="update", disable=None) as bar:
+
+        def progress(update: int, loss: float) -> None:
+            bar.update(update - bar.n)
+            bar.set_postfix(loss=f"{loss:.2g}")
+
+        imitate(layers, hidden, learner, shown, seeds, purpose, progress)
+    for run, actor in enumerate(actors):
+        write_actor(layers, run, actor)
+
+
+def _space(setup: Setup, learner: BackboneNumbers) -> Space:
+    """Return where the targets of training lie."""
+    space = make_space(setup.config.space, setup.robot, setup.centers)
+    return wider_targets(space, learner.practice, setup.robot) if learner.practice else space
+
+
+def _prefilled(
+    setup: Setup, actor: Actor, clone: Actor | None, work: Work, learner: BackboneNumbers
+) -> Replay:
+    """Return the replay that a run begins with."""
+
+    def actions(observations: Any) -> Any:
+        assert clone is not None
+        with torch.no_grad():
+            return clone.act(torch.as_tensor(observations, dtype=torch.float32)).numpy()
+
+    share = learner.kept_share if isinstance(learner, Demonstrated) else 0.0
+    known = None if clone is None else actions
+    replay = MixedReplay(setup.robot, work.task, learner, known, share)
+    replay.prefill(setup.first_episodes(actor, clone))
+    return replay.buffers["kept" if share > 0 else "replay"]

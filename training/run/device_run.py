@@ -1,0 +1,216 @@
+"""Training runs that learn side by side on one device; see :mod:`training.device`.
+
+Each run has a folder of its own with the same files as any other run, and ends as it would alone.
+All of them have the same options but the seed. A run that was interrupted goes on where its last
+checkpoint was; on a processor to the bit, on a GPU up to the order in which it adds.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Sequence
+
+import numpy as np
+import torch
+from tqdm import tqdm
+
+from cdcsr.errors import CdcsrError
+from cdcsr.files import write_json
+from training.device.doors import restore, snapshot_arrays
+from training.device.networks import write_actor
+from training.policy import Policy, load_policy
+from training.run.checkpoint import reading_state, write_state
+from training.run.device_parts import DeviceParts, check_device, make_parts
+from training.run.metrics import Metrics
+from training.run.setup import Setup
+from training.run.train_options import STATE, SUMMARY
+
+
+class DeviceRuns:
+    """Runs in folders that this process holds.
+
+    Args:
+        setups: the parts of each run.
+        device: where they learn.
+
+    Raises:
+        CdcsrError: they ask for something that only a processor can do.
+    """
+
+    def __init__(self, setups: Sequence[Setup], device: torch.device) -> None:
+        self.setups, self.device = setups, device
+        _, self._learner = check_device(setups[0])
+        self._folders = [setup.config.out for setup in setups]
+        self._started, self._minutes_before = time.monotonic(), 0.0
+
+    def carry_out(self) -> list[Policy]:
+        """Do what is left of the runs; return their policies."""
+        finished = [(folder / SUMMARY).exists() for folder in self._folders]
+        if all(finished):
+            for folder in self._folders:
+                print(f"{folder} is a finished run; give --force to begin anew.")
+            return [load_policy(folder) for folder in self._folders]
+        if any(finished):
+            raise CdcsrError(
+                f"Of these runs {sum(finished)} of {len(finished)} are finished; name the seeds of "
+                "the others."
+            )
+        parts = make_parts(self.setups, self.device)
+        try:
+            return self._learn(parts)
+        finally:
+            parts.simulation.close()
+
+    def _learn(self, parts: DeviceParts) -> list[Policy]:
+        """Collect, store and update until the updates or the minutes are used up."""
+        learner, numbers, config = parts.learner, self._learner, self.setups[0].config
+        done_before, stopped = self._resume(parts), False
+        tables = [Metrics(folder, done_before) for folder in self._folders]
+        seen = _totals(parts)
+        with tqdm(
+            total=numbers.updates,
+            initial=done_before,
+            desc=config.algorithm,
+            unit="update",
+            disable=None,
+        ) as bar:
+            update = done_before
+            while update < numbers.updates and not stopped:
+                update += 1
+                if (update - 1) % numbers.updates_per_step == 0:
+                    learner.collector.step()
+                if learner.ready:
+                    learner.update(update)
+                bar.update()
+                done = update == numbers.updates
+                stopped = not done and self._out_of_time()
+                due = config.evaluate_every and update % config.evaluate_every == 0
+                if done or stopped or due:
+                    rows = self._rows(parts, update, seen)
+                    seen = _totals(parts)
+                    for table, row in zip(tables, rows, strict=True):
+                        table.add(row)
+                    if not done:
+                        self._save(parts, update)
+        if stopped:
+            print(f"Stopped after update {update}; the same options go on from here.")
+            return [load_policy(folder) for folder in self._folders]
+        return self._finish(parts)
+
+    def _rows(
+        self, parts: DeviceParts, update: int, seen: dict[str, list[int]]
+    ) -> list[dict[str, float]]:
+        """Measure and save every run's policy as it is now; return their rows of metrics."""
+        rows, now, losses = [], _totals(parts), parts.learner.take_metrics()
+        steps = parts.learner.collector.steps * self._learner.num_envs
+        unfinished = {"update": update, "of": self._learner.updates}
+        for run, setup in enumerate(self.setups):
+            write_actor(parts.learner.policy, run, parts.actors[run])
+            policy = setup.policy(parts.actors[run], setup.config.algorithm, unfinished=unfinished)
+            policy.save(setup.config.out)
+            summary = setup.validate(policy).summary()
+            names = ("success_rate", "success_low", "success_high", "length_mean")
+            row = {name: summary[name] for name in names}
+            row |= {"update": update, "environment_steps": steps, "minutes": self._minutes()}
+            row["diverged"] = now["diverged"][run]
+            if episodes := now["episodes"][run] - seen["episodes"][run]:
+                successes = now["successes"][run] - seen["successes"][run]
+                row["train_success"] = successes / episodes
+            rows.append(row | losses[run])
+        rates = [row["success_rate"] for row in rows]
+        lowest = f" (lowest {min(rates):.2f})" if len(rates) > 1 else ""
+        tqdm.write(
+            f"update {update:>6}  {self._minutes():6.2f} min  success {np.mean(rates):.2f}{lowest}"
+        )
+        return rows
+
+    def _save(self, parts: DeviceParts, update: int) -> None:
+        """Write a checkpoint of every run."""
+        arrays, copies = snapshot_arrays(parts.simulation), self._learner.num_envs
+        for run, setup in enumerate(self.setups):
+            tensors = {name: x.cpu().clone() for name, x in parts.learner.views(run).items()}
+            own = slice(run * copies, (run + 1) * copies)
+            tensors |= {f"engine.{k}": torch.from_numpy(x[own]) for k, x in arrays.items()}
+            counters = {"update": update, "minutes": self._minutes()}
+            counters["steps"] = parts.learner.collector.steps
+            meta = {"counters": counters, "device": True}
+            write_state(setup.config.out / STATE, tensors, meta, setup.robot)
+
+    def _resume(self, parts: DeviceParts) -> int:
+        """Put the runs back to their checkpoints, if they have some.
+
+        Returns:
+            The number of updates that are done.
+
+        Raises:
+            CdcsrError: a checkpoint is damaged, or they are of different updates.
+        """
+        paths = [folder / STATE for folder in self._folders]
+        if not any(path.exists() for path in paths):
+            return 0
+        arrays: list[dict[str, torch.Tensor]] = []
+        found: dict[int, str] = {}
+        for run, path in enumerate(paths):
+            if not path.exists():
+                found[0] = str(path.parent)
+                continue
+            with reading_state(path, self.setups[run].robot) as (tensors, meta):
+                if not meta.get("device"):
+                    raise CdcsrError(f"{path} is of a run with device cpu; go on with that.")
+                for name, view in parts.learner.views(run).items():
+                    view.copy_(tensors[name])
+                arrays.append(
+                    {k.removeprefix("engine."): x for k, x in tensors.items() if "engine." in k}
+                )
+                counters = meta["counters"]
+                found[counters["update"]] = str(path.parent)
+                parts.learner.collector.resume(counters["steps"])
+                self._minutes_before = counters["minutes"]
+        if len(found) > 1:
+            raise CdcsrError(f"Resume runs together that stand at the same update; found {found}.")
+        engine = {k: torch.cat([one[k] for one in arrays]).numpy() for k in arrays[0]}
+        restore(parts.simulation, engine)
+        return next(iter(found))
+
+    def _finish(self, parts: DeviceParts) -> list[Policy]:
+        """Save the policies and the summaries."""
+        policies = []
+        steps = parts.learner.collector.steps * self._learner.num_envs
+        for run, setup in enumerate(self.setups):
+            config = setup.config
+            policy = setup.policy(
+                parts.actors[run],
+                config.algorithm,
+                updates=self._learner.updates,
+                environment_steps=steps,
+                device=self.device.type,
+            )
+            policy.card["minutes"] = round(self._minutes(), 2)
+            policy.save(config.out)
+            validation = setup.validate(policy).summary()
+            summary = {"out": str(config.out), **policy.card, "validation": validation}
+            write_json(config.out / SUMMARY, summary)
+            if config.json is not None:
+                write_json(config.json, summary)
+            (config.out / STATE).unlink(missing_ok=True)
+            print(
+                f"{policy.name}: success {validation['success_rate']:.2f}, length "
+                f"{validation['length_mean']:.1f} on {validation['episodes']} validation targets "
+                f"({config.backend}, {config.space}), {policy.card['minutes']:.1f} min -> "
+                f"{config.out}"
+            )
+            policies.append(policy)
+        return policies
+
+    def _out_of_time(self) -> bool:
+        limit = self.setups[0].config.stop_after
+        return limit is not None and self._minutes() - self._minutes_before > limit
+
+    def _minutes(self) -> float:
+        return self._minutes_before + (time.monotonic() - self._started) / 60
+
+
+def _totals(parts: DeviceParts) -> dict[str, list[int]]:
+    """Return how many episodes every run has had, and how many of them succeeded or diverged."""
+    tensors = parts.learner.collector.tensors
+    return {name: tensors[name].tolist() for name in ("episodes", "successes", "diverged")}
