@@ -112,6 +112,13 @@ TUNED: Mapping[str, object] = {
     "bc_learning_rate": 1e-3,
 }
 """Numbers of the preset `tuned`, for every algorithm that has them."""
+ON_A_GPU: Mapping[str, object] = {
+    "num_envs": 1_024,
+    "batch_size": 1_024,
+    "updates_per_step": 2,
+    "capacity": 2_000_000,
+}
+"""What the preset `gpu` changes in `tuned`."""
 
 
 def find_algorithm(name: str) -> Algorithm:
@@ -132,10 +139,11 @@ def own_numbers(name: str, preset: PresetName, task: str = "reach") -> Network:
         CdcsrError: there is no such algorithm.
     """
     entry = find_algorithm(name)
-    if preset != "tuned":
+    if preset == "paper-reading":
         return entry.numbers()
     kind = task.partition("-")[0]
     numbers = {**TUNED, **entry.tuned, **entry.tuned_for.get(kind, {})}
+    numbers |= ON_A_GPU if preset == "gpu" else {}
     known = entry.numbers.model_fields
     return entry.numbers().changed(**{k: v for k, v in numbers.items() if k in known})
 

@@ -16,6 +16,13 @@ class TrainCommand:
 
     def run(self) -> None:
         """Carry out the run."""
+        if self.config.device == "cuda":
+            import torch
+
+            from training.run.device_run import train_on_device
+
+            train_on_device(self.config, torch.device("cuda"))
+            return
         from training.run.trainer import train
 
         train(self.config)

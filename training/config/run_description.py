@@ -15,11 +15,12 @@ from cdcsr.simulation.randomization import check_scale
 from cdcsr.tasks.starts import StartName, start_name
 from training.config.seeds import EVALUATION_SEEDS
 
-PresetName = Literal["paper-reading", "tuned"]
+PresetName = Literal["paper-reading", "tuned", "gpu"]
 """`paper-reading` fills the gaps of the BATD3 paper with our reading. The paper does not print
 the numbers of updates and of environment steps, the updates for each step, the exploration noise,
 the action rate, the updates and rollouts of the clone, Anchor's place and size, the demonstrator,
-the servo, the slider or the cables' radius. `tuned` is what learns well here."""
+the servo, the slider or the cables' radius. `tuned` is what learns well here. `gpu` is
+the same with as many copies, and batches as large, as keep a graphics card busy."""
 RENAMED = {"paper": "paper-reading"}
 """Names of presets in older files."""
 NEAREST = "nearest"

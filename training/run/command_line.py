@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, fields
 from textwrap import fill
-from typing import Annotated, Generic, TypeVar
+from typing import Annotated, Generic, TypeVar, get_args
 
 import tyro
 
@@ -36,8 +36,9 @@ def read_train(prog: str, argv: Sequence[str]) -> Train:
     """
     algorithm = _option(argv, "--algorithm") or "batd3"
     preset: PresetName = "tuned"
-    if _option(argv, "--preset") == "paper-reading":
-        preset = "paper-reading"
+    for known in get_args(PresetName):
+        if _option(argv, "--preset") == known:
+            preset = known
     own = own_numbers(algorithm, preset, _option(argv, "--task") or "reach")
     if "--help-all" not in argv and ("--help" in argv or "-h" in argv):
         print(_short_help(prog, algorithm, own))
@@ -66,7 +67,7 @@ Train a policy. To resume an interrupted run, give the same command again.
   --out FOLDER            the folder of the run
   --algorithm NAME        what learns; one of
 {fill(", ".join(ALGORITHMS), 72, initial_indent=" " * 26, subsequent_indent=" " * 26)}
-  --preset NAME           tuned (default) or paper-reading: where the learner's numbers come from
+  --preset NAME           tuned (default), paper-reading or gpu: the learner's numbers
   --backend ENGINE        the engine to train in, or several joined by + (mujoco)
   --robot ROBOT           a shipped robot, or a path that ends in .toml (paper)
   --space SPACE           where targets lie: anchor (default), floating, spatter, workspace, a map
@@ -82,6 +83,8 @@ Train a policy. To resume an interrupted run, give the same command again.
   --soften SCALE          randomization of how far cables stretch (0: off)
   --evaluate-every N      updates between evaluations and checkpoints (1000)
   --stop-after MINUTES    stop; the run can be resumed
+  --device cuda, --seeds 0:10
+                          learn on a GPU; seeds 0 to 9 side by side, in folders of OUT
   --force                 begin anew in a folder that holds another run
   --json FILE             also write the summary to this file
 

@@ -14,6 +14,7 @@ from tqdm import tqdm
 from cdcsr.errors import CdcsrError
 from cdcsr.simulation.contract import Simulation
 from cdcsr.simulation.engines import make_simulation
+from cdcsr.tasks.catalogue import actions_per_episode, make_task
 from cdcsr.tasks.spaces import Space, make_space, wider_targets
 from training.algorithms.bc import pairs
 from training.algorithms.registry import find_algorithm
@@ -55,6 +56,12 @@ def check_device(setup: Setup) -> tuple[type[TD3[BackboneNumbers]], BackboneNumb
     kind = find_algorithm(config.algorithm).learner
     if kind is None or not isinstance(learner, BackboneNumbers):
         raise CdcsrError(f"device must be cpu for {config.algorithm}, which is supervised.")
+    actions = actions_per_episode(make_task(config.task, setup.robot).max_steps, setup.frame_skip)
+    if learner.capacity < (least := learner.num_envs * (actions + 2)):
+        raise CdcsrError(
+            f"capacity must be at least {least} with device cuda, where every one of "
+            f"{learner.num_envs} environments stores its last episode; found {learner.capacity}."
+        )
     for name, value, only in (
         ("hindsight", learner.hindsight, 0),
         ("bfloat16", learner.bfloat16, False),

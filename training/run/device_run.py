@@ -9,13 +9,15 @@ from __future__ import annotations
 
 import time
 from collections.abc import Sequence
+from contextlib import ExitStack
+from functools import partial
 
 import numpy as np
 import torch
 from tqdm import tqdm
 
 from cdcsr.errors import CdcsrError
-from cdcsr.files import write_json
+from cdcsr.files import read_json, write_json
 from training.device.doors import restore, snapshot_arrays
 from training.device.networks import write_actor
 from training.policy import Policy, load_policy
@@ -23,7 +25,37 @@ from training.run.checkpoint import reading_state, write_state
 from training.run.device_parts import DeviceParts, check_device, make_parts
 from training.run.metrics import Metrics
 from training.run.setup import Setup
-from training.run.train_options import STATE, SUMMARY
+from training.run.trackers import start_tracker
+from training.run.train_options import RUN_FOLDER, STATE, SUMMARY, Train, read_older
+
+SAVE_EVERY = 60.0
+"""Time between checkpoints, in [s]: their replays may have gigabytes, and a GPU is fast."""
+
+
+def train_on_device(config: Train, device: torch.device) -> list[Policy]:
+    """Carry out a run, or one for each of its seeds, or resume those that were interrupted.
+
+    Raises:
+        CdcsrError: there is no such device, the options do not fit together, or a folder holds
+            another run.
+        Busy: another process works at one of the runs.
+    """
+    if device.type == "cuda" and not torch.cuda.is_available():
+        raise CdcsrError("PyTorch finds no GPU for device cuda here; choose device cpu.")
+    torch.set_num_threads(1)
+    setups = [Setup(one) for one in config.each_seed()]
+    check_device(setups[0])
+    with ExitStack() as held:
+        for setup in setups:
+            one, identity = setup.config, setup.identity()
+            older = partial(read_older, run=one, now=identity, path=one.out / RUN_FOLDER.record)
+            held.enter_context(RUN_FOLDER.claim(one.out, identity, older, one.force))
+        policies = DeviceRuns(setups, device).carry_out()
+        if config.json is not None:
+            paths = [setup.config.out / SUMMARY for setup in setups]
+            summaries = [read_json(path) for path in paths if path.exists()]
+            write_json(config.json, summaries[0] if config.seeds is None else {"runs": summaries})
+    return policies
 
 
 class DeviceRuns:
@@ -42,6 +74,7 @@ class DeviceRuns:
         _, self._learner = check_device(setups[0])
         self._folders = [setup.config.out for setup in setups]
         self._started, self._minutes_before = time.monotonic(), 0.0
+        self._saved = self._started
 
     def carry_out(self) -> list[Policy]:
         """Do what is left of the runs; return their policies."""
@@ -65,7 +98,7 @@ class DeviceRuns:
         """Collect, store and update until the updates or the minutes are used up."""
         learner, numbers, config = parts.learner, self._learner, self.setups[0].config
         done_before, stopped = self._resume(parts), False
-        tables = [Metrics(folder, done_before) for folder in self._folders]
+        tables = [self._table(setup, done_before) for setup in self.setups]
         seen = _totals(parts)
         with tqdm(
             total=numbers.updates,
@@ -90,12 +123,20 @@ class DeviceRuns:
                     seen = _totals(parts)
                     for table, row in zip(tables, rows, strict=True):
                         table.add(row)
-                    if not done:
+                    if stopped or (not done and time.monotonic() - self._saved > SAVE_EVERY):
                         self._save(parts, update)
+        for table in tables:
+            table.close()
         if stopped:
             print(f"Stopped after update {update}; the same options go on from here.")
             return [load_policy(folder) for folder in self._folders]
         return self._finish(parts)
+
+    def _table(self, setup: Setup, done_before: int) -> Metrics:
+        """Go on with the metrics of a run."""
+        track, folder = setup.config.track, setup.config.out
+        tracker = track and start_tracker(track, folder, setup.config.as_dict())
+        return Metrics(folder, done_before, tracker)
 
     def _rows(
         self, parts: DeviceParts, update: int, seen: dict[str, list[int]]
@@ -126,6 +167,7 @@ class DeviceRuns:
 
     def _save(self, parts: DeviceParts, update: int) -> None:
         """Write a checkpoint of every run."""
+        self._saved = time.monotonic()
         arrays, copies = snapshot_arrays(parts.simulation), self._learner.num_envs
         for run, setup in enumerate(self.setups):
             tensors = {name: x.cpu().clone() for name, x in parts.learner.views(run).items()}
@@ -190,8 +232,6 @@ class DeviceRuns:
             validation = setup.validate(policy).summary()
             summary = {"out": str(config.out), **policy.card, "validation": validation}
             write_json(config.out / SUMMARY, summary)
-            if config.json is not None:
-                write_json(config.json, summary)
             (config.out / STATE).unlink(missing_ok=True)
             print(
                 f"{policy.name}: success {validation['success_rate']:.2f}, length "

@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from pathlib import Path
+from typing import Literal, Self
 
-from cdcsr.errors import CdcsrError
+from cdcsr.errors import CdcsrError, unknown_choice
 from cdcsr.folders import WorkingFolder
 from cdcsr.reading import exists
 from cdcsr.robot.description import Robot
@@ -32,6 +33,7 @@ RUN_FOLDER = WorkingFolder(
         "clone/policy.json",
     ),
 )
+MOST_SEEDS = 1_000
 _RETIRED = {
     "final_learning_rate": 1.0,
     "step_cost": 0.0,
@@ -59,8 +61,13 @@ class Train(RunDescription):
     """Also log the metrics to Weights & Biases, offline into the run's folder, or to trackio."""
     force: bool = False
     """Begin anew in a folder that holds another run."""
+    device: Literal["cpu", "cuda"] = "cpu"
+    """Where the learner is: cpu, or cuda for a GPU that it never leaves if the engine is `warp`."""
+    seeds: str | None = None
+    """With device cuda: train seeds side by side, 0:10 for 0 to 9, in the folders s0, s1, ... of
+    `out`."""
     json: Path | None = None
-    """Also write the summary to this file."""
+    """Also write the summary to this file; for several seeds those of all runs."""
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -69,6 +76,27 @@ class Train(RunDescription):
         check_count("evaluate_every", self.evaluate_every, 1_000_000_000, least=0)
         if self.stop_after is not None:
             check_number("stop_after", self.stop_after, 0.0, 1e6)
+        if self.device not in ("cpu", "cuda"):
+            raise CdcsrError(unknown_choice("device", self.device, ["cpu", "cuda"]))
+        if self.seeds is not None and self.device == "cpu":
+            raise CdcsrError("seeds needs device cuda; with device cpu start a run for each seed.")
+
+    def each_seed(self) -> list[Self]:
+        """Return the run of each seed, in a folder of its own if `seeds` is given.
+
+        Raises:
+            CdcsrError: `seeds` is not two numbers, the first below the second.
+        """
+        if self.seeds is None:
+            return [self]
+        first, colon, end = self.seeds.partition(":")
+        if not (colon and first.isdecimal() and end.isdecimal() and len(first + end) < 30):
+            raise CdcsrError(f"seeds must be like 0:10, which are 0 to 9; found {self.seeds!r}.")
+        check_count("the number of seeds", int(end) - int(first), MOST_SEEDS)
+        return [
+            replace(self, seed=seed, seeds=None, out=self.out / f"s{seed}")
+            for seed in range(int(first), int(end))
+        ]
 
     @property
     def learner(self) -> Network:
@@ -111,6 +139,8 @@ class Train(RunDescription):
             del data["start"]  # the same
         if self.frame_skip is None:
             data["frame_skip"] = ruler(robot).frame_skip
+        if self.device != "cpu":
+            data["device"] = self.device  # it draws other random numbers
         if scale := robot.scale.model_dump(mode="json"):
             data["scale"] = scale
         data |= {"learner": self.learner.model_dump(mode="json"), "fingerprint": robot.fingerprint}

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 from dataclasses import replace
-from typing import get_args
 
 import pytest
 
@@ -62,11 +61,14 @@ def test_what_cannot_be_a_run_is_refused(data: dict[str, object], message: str) 
         RunDescription.from_dict(data)
 
 
+_STORED: tuple[PresetName, ...] = ("paper-reading", "tuned")
+
+
 def own_digest(algorithm: str) -> str:
-    """Return a digest of all numbers that an algorithm has in both presets, for three tasks."""
+    """Return a digest of all numbers that an algorithm has in the presets of stored runs."""
     found = [
         own_numbers(algorithm, preset, task).model_dump(mode="json")
-        for preset in get_args(PresetName)
+        for preset in _STORED
         for task in ("reach", "capture", "follow-line")
     ]
     return digest(json.dumps(found, sort_keys=True).encode())[:8]

@@ -1,0 +1,153 @@
+"""What is collected on a device is what the environment would have given."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+import torch
+from numpy.typing import NDArray
+
+from cdcsr.envs.gym_env import TaskVectorEnv
+from cdcsr.robot.description import load_robot
+from cdcsr.simulation.engines import make_simulation
+from cdcsr.tasks.catalogue import make_task
+from cdcsr.tasks.observation import observation_size, observe
+from training.config.learner import Practising
+from training.device.collector import DeviceCollector, Work
+from training.device.doors import HostDoor
+from training.device.networks import side_by_side, stacked_actor
+from training.device.replay import DeviceReplay
+from training.experience.replay import Replay
+from training.networks.actor import Actor
+from training.networks.mirror_symmetry import MirrorSymmetry
+
+PAPER, CPU = load_robot("paper"), torch.device("cpu")
+RUNS, COPIES, ROWS = 2, 3, 400
+
+
+class _Collected:
+    """A collector with wild actors at a task, and an environment to compare it with."""
+
+    def __init__(self, seeds: tuple[int, ...] = (0, 1), **options: Any) -> None:
+        learner = Practising(num_envs=COPIES, exploration_noise=0.6, noise_hold=5)
+        num, symmetry = len(seeds) * COPIES, bool(options.pop("symmetry", False))
+        self.env = TaskVectorEnv(
+            num, PAPER, space="workspace", frame_skip=10, autoreset_mode="Disabled", **options
+        )
+        self.door = HostDoor(make_simulation(PAPER, "mujoco", num), CPU)
+        sizes = observation_size(PAPER), PAPER.num_cables
+        shape = len(seeds), COPIES, ROWS
+        empty = [Replay(1, *sizes, 0.99, 3) for _ in seeds]
+        self.replay = DeviceReplay(shape, sizes, self.env.max_actions, 0.99, 3, empty, CPU)
+        actors = []
+        for seed in seeds:
+            torch.manual_seed(seed)
+            actors.append(Actor(PAPER, True, (8,), "relu", symmetry))
+        self.layers = side_by_side([stacked_actor(x) for x in actors], CPU)
+        work = Work(self.env.task, self.env.space, 10)
+        self.collector = DeviceCollector(
+            self.door, work, learner, seeds, actors[0], self.replay, CPU
+        )
+
+    def flat(self, name: str) -> NDArray[Any]:
+        """Return one of the collector's tensors, a row for each copy of the engine."""
+        return self.collector.tensors[name].flatten(0, 1).numpy().copy()
+
+    def follow(self) -> None:
+        """Give the environment the targets that the collector has drawn."""
+        for name, rows in self.env._episodes.arrays().items():
+            runs = [self.collector.views(run)[f"episode.{name}"] for run in range(RUNS)]
+            rows[:] = torch.cat(runs).numpy()
+
+    def close(self) -> None:
+        self.env.close()
+        self.door.close()
+
+
+@pytest.mark.parametrize(
+    "options",
+    [
+        {"max_steps": 400, "threshold": 0.45},
+        {"max_steps": 400, "threshold": 0.45, "symmetry": True},
+        {"task": make_task("capture-tumble", PAPER, threshold=0.8, speed=0.8, max_steps=400)},
+        {"task": "follow-circle", "max_steps": 300, "threshold": 0.6},
+        {"reward": "dense", "max_steps": 300, "threshold": 0.4, "quiet": True},
+    ],
+)
+def test_a_step_is_that_of_the_environment(options: dict[str, Any]) -> None:
+    both = _Collected(**options)
+    collector, env, counts = both.collector, both.env, np.zeros(2)
+    collector.start(both.layers, None)
+    env.reset(seed=0)
+    for step in range(2 * env.max_actions + 2):
+        both.follow()
+        ended = both.flat("last")
+        seen = observe(env.simulation.state(), env.targets)
+        np.testing.assert_allclose(both.flat("observation"), seen, rtol=1e-5, atol=1e-6)
+        collector.step()
+        _, reward, terminated, truncated, _ = env.step(both.flat("command"))
+        pay = 1 if env.task.ends else 1 - Practising().discount
+        stored = both.replay.tensors["reward"][step].flatten()[~ended]
+        np.testing.assert_allclose(stored, (pay * reward)[~ended], atol=1e-6)
+        for name, flags in (("last", terminated | truncated), ("terminated", terminated)):
+            np.testing.assert_array_equal(both.flat(name), flags & ~ended)
+        counts += [(terminated & ~ended).sum(), (truncated & ~ended).sum()]
+        if ended.any():
+            env.simulation.reset(np.flatnonzero(ended))
+    assert counts[0] > 0 or not env.task.ends  # both kinds of end were seen
+    assert counts[1] > 0
+    totals = collector.tensors["episodes"].sum(), collector.tensors["diverged"].sum()
+    assert totals == (counts.sum(), 0)
+    both.close()
+
+
+def test_stored_actions_are_those_of_the_mirror_image() -> None:
+    both = _Collected(symmetry=True)
+    both.collector.start(both.layers, None)
+    for _ in range(5):
+        both.collector.step()
+    rows = both.replay.tensors
+    image = MirrorSymmetry(PAPER)
+    seen = rows["observation"][:5]
+    torch.testing.assert_close(image(seen).observation, seen)  # an image is its own
+    cables = image(both.collector.tensors["observation"]).cables
+    assert len(set(cables[..., 0].flatten().tolist())) > 1  # some were mirrored
+    both.close()
+
+
+def test_episodes_that_diverge_are_dropped() -> None:
+    both = _Collected(max_steps=400)
+    collector, simulation = both.collector, both.door._simulation
+    collector.start(both.layers, None)
+    for step in range(60):
+        if step == 20:
+            snapshot = simulation.get_snapshot()
+            snapshot.velocity[1, 0] = 1e9
+            simulation.place([1], snapshot.position[1:2], snapshot.velocity[1:2])
+        collector.step()
+    assert collector.tensors["diverged"].tolist() == [1, 0]
+    rows = both.replay.tensors
+    begins = rows["begins"].flatten(1)[:60]
+    assert not begins[:22, 1].any()
+    assert begins[:20, [0, 2, 3, 4, 5]].all()
+    assert rows["count"].tolist() == [int(x) for x in rows["begins"][:60].sum((0, 2))]
+    assert torch.isfinite(rows["observation"]).all()
+    both.close()
+
+
+def test_a_run_collects_alone_what_it_collects_beside_others() -> None:
+    both, alone = _Collected((0, 1), max_steps=100), _Collected((1,), max_steps=100)
+    for each in (both, alone):
+        each.collector.start(each.layers, None)
+        for _ in range(30):
+            each.collector.step()
+        each.close()
+    for name, rows in alone.replay.views(0).items():
+        torch.testing.assert_close(both.replay.views(1)[name], rows)
+    assert not torch.equal(
+        both.replay.views(0)["observation"], alone.replay.views(0)["observation"]
+    )
+    for one in (both, alone):
+        one.close()

@@ -1,0 +1,128 @@
+"""Runs that learn side by side on a device."""
+
+from __future__ import annotations
+
+import csv
+import json
+from pathlib import Path
+from typing import Any
+
+import pytest
+import torch
+from safetensors.torch import load_file
+
+from cdcsr.errors import CdcsrError
+from tests.support.tiny import FRAME_SKIP, tiny_changes
+from training.algorithms.registry import ALGORITHMS
+from training.commands.train import TrainCommand
+from training.policy import load_policy
+from training.run.device_run import train_on_device
+from training.run.train_options import Train
+
+CPU = torch.device("cpu")
+METHODS = [name for name, one in ALGORITHMS.items() if one.learner and name != "her"]
+
+
+def _config(out: Path, demonstrations: Path, algorithm: str = "clasp", **options: Any) -> Train:
+    usual = {
+        "space": "spatter",
+        "frame_skip": FRAME_SKIP,
+        "evaluate_every": 40,
+        "evaluate_episodes": 4,
+        "updates": 80,
+    }
+    numbers = {"updates_per_step": 1, **options.pop("numbers", {})}
+    return Train(
+        out=out,
+        demonstrations=demonstrations,
+        algorithm=algorithm,
+        device="cuda",
+        changes=tiny_changes(algorithm, **numbers),
+        **{**usual, **options},
+    )
+
+
+def _weights(folder: Path) -> dict[str, torch.Tensor]:
+    return load_file(folder / "policy.safetensors")
+
+
+@pytest.mark.parametrize("algorithm", METHODS)
+def test_every_method_learns_on_a_device(
+    algorithm: str, tmp_path: Path, demonstrations: Path
+) -> None:
+    config = _config(tmp_path / "run", demonstrations, algorithm, json=tmp_path / "summary.json")
+    train_on_device(config, CPU)
+    with (tmp_path / "run/metrics.csv").open() as file:
+        rows = list(csv.DictReader(file))
+    assert [row["update"] for row in rows] == ["40", "80"]
+    assert float(rows[1]["critic_loss"]) >= 0
+    assert rows[1]["actor_loss"]
+    policy = load_policy(tmp_path / "run")
+    assert policy.card["environment_steps"] == 80 * 4
+    summary = json.loads((tmp_path / "summary.json").read_text())
+    assert summary["validation"]["episodes"] == 4
+    assert not (tmp_path / "run/state.safetensors").exists()
+
+
+def test_a_run_ends_beside_others_as_it_ends_alone(tmp_path: Path, demonstrations: Path) -> None:
+    train_on_device(_config(tmp_path / "both", demonstrations, seeds="3:5"), CPU)
+    train_on_device(_config(tmp_path / "alone", demonstrations, seed=4), CPU)
+    alone, other = _weights(tmp_path / "alone"), _weights(tmp_path / "both/s3")
+    for name, weights in _weights(tmp_path / "both/s4").items():
+        torch.testing.assert_close(weights, alone[name], rtol=1e-3, atol=1e-4)
+    assert any(not torch.allclose(alone[name], other[name], atol=1e-2) for name in alone)
+
+
+def test_runs_resume_to_the_bit(tmp_path: Path, demonstrations: Path) -> None:
+    whole = _config(tmp_path / "whole", demonstrations, seeds="0:2")
+    train_on_device(whole, CPU)
+    parts = _config(tmp_path / "parts", demonstrations, seeds="0:2", stop_after=0.0)
+    for update in (1, 2, 3):
+        train_on_device(parts, CPU)
+        policy = load_policy(tmp_path / "parts/s1")
+        assert policy.card["unfinished"] == {"update": update, "of": 80}
+    train_on_device(_config(tmp_path / "parts", demonstrations, seeds="0:2"), CPU)
+    for run in ("s0", "s1"):
+        again = _weights(tmp_path / "parts" / run)
+        for name, weights in _weights(tmp_path / "whole" / run).items():
+            assert torch.equal(weights, again[name])
+    train_on_device(whole, CPU)  # a finished run is left alone
+
+
+def test_a_run_of_several_can_go_on_alone(tmp_path: Path, demonstrations: Path) -> None:
+    both = _config(tmp_path / "runs", demonstrations, seeds="0:2", stop_after=0.0)
+    train_on_device(both, CPU)
+    train_on_device(_config(tmp_path / "runs/s0", demonstrations, seed=0), CPU)
+    with pytest.raises(CdcsrError, match="1 of 2 are finished"):
+        train_on_device(both, CPU)
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"start": "anywhere"}, "start must be still with device cuda"),
+        ({"randomize": 1.0}, "randomize must be 0.0 with device cuda"),
+        ({"numbers": {"hindsight": 2}}, "hindsight must be 0 with device cuda"),
+        ({"numbers": {"capacity": 100}}, "capacity must be at least 108 with device cuda"),
+        ({"algorithm": "bc", "numbers": {}}, "device must be cpu for bc"),
+        ({"seeds": "3"}, "seeds must be like 0:10"),
+        ({"seeds": "3:3"}, "the number of seeds must be a whole number from 1"),
+    ],
+)
+def test_what_a_device_cannot_do_is_refused(
+    options: dict[str, Any], message: str, tmp_path: Path, demonstrations: Path
+) -> None:
+    if options.get("algorithm") == "bc":
+        config = Train(out=tmp_path / "run", algorithm="bc", device="cuda")
+    else:
+        config = _config(tmp_path / "run", demonstrations, **options)
+    with pytest.raises(CdcsrError, match=message):
+        train_on_device(config, CPU)
+    assert not (tmp_path / "run").exists()
+
+
+@pytest.mark.skipif(torch.cuda.is_available(), reason="there is a GPU")
+def test_without_a_gpu_cuda_is_refused(tmp_path: Path) -> None:
+    command = TrainCommand("training", ["--device", "cuda", "--out", str(tmp_path / "run")])
+    with pytest.raises(CdcsrError, match="finds no GPU"):
+        command.run()
