@@ -118,7 +118,7 @@ ON_A_GPU: Mapping[str, object] = {
     "updates_per_step": 2,
     "capacity": 2_000_000,
 }
-"""What the preset `gpu` changes in `tuned`."""
+"""The numbers that the preset `gpu` changes in `tuned`."""
 
 
 def find_algorithm(name: str) -> Algorithm:

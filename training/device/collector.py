@@ -13,6 +13,7 @@ from typing import Any, cast
 
 import numpy as np
 import torch
+from numpy.typing import NDArray
 from torch import Tensor
 
 from cdcsr.envs.episodes import Episodes
@@ -36,11 +37,13 @@ POOL = 16_384
 """How many targets are drawn for a run, with the generator of its seed. Every episode takes one of
 them at random, so that nothing is drawn while steps are made."""
 _PURPOSE = 1
+Foreign = Any
+"""A tensor where the types of tasks and episodes say NumPy, or the other way round."""
 
 
 @dataclass(frozen=True)
 class Work:
-    """What all copies do.
+    """The work that all copies do.
 
     Attributes:
         task: with the time between actions.
@@ -127,7 +130,7 @@ class DeviceCollector:
     def views(self, run: int) -> dict[str, Tensor]:
         """Return what changes of one run, as views, by name; two counts are those of all runs."""
         found = {name: x[run] if x.dim() else x for name, x in self.tensors.items()}
-        for name, rows in cast(dict[str, Any], self._episodes.arrays()).items():
+        for name, rows in cast(dict[str, Tensor], self._episodes.arrays()).items():
             found[f"episode.{name}"] = rows.view(*self._shape, *rows.shape[1:])[run]
         return found | {"drawn": self.draws.drawn}
 
@@ -193,11 +196,13 @@ class DeviceCollector:
         state = cast(State, self._door.device_state())
         ended, lost = self._flat("last").clone(), self._lost
         episodes.advance(self._work.frame_skip, self._step)
-        distance, verdict = (cast(Any, x) for x in episodes.judge(state))
+        distance, verdict = (cast(Foreign, x) for x in episodes.judge(state))
         verdict = verdict.without(ended | lost)
-        reward = torch.where(ended | lost, 0.0, cast(Any, task.reward(distance, verdict.rewarded)))
+        reward = torch.where(
+            ended | lost, 0.0, cast(Foreign, task.reward(distance, verdict.rewarded))
+        )
         self._replay.finish(self._pay * reward.view(self._shape))
-        late = cast(Any, episodes.actions_taken) >= self._actions
+        late = cast(Foreign, episodes.actions_taken) >= self._actions
         done = ~ended & (verdict.terminated | late | lost)
         for name, flags in ("last", done), ("terminated", verdict.terminated), ("dropped", lost):
             self._flat(name).copy_(flags)
@@ -212,12 +217,12 @@ class DeviceCollector:
         """Give copies new targets."""
         chosen = self.draws.below(POOL, self._shape[1])
         begun = [table[self._run, chosen].flatten(0, 1) for table in self._pool]
-        self._episodes.restart(cast(Any, fresh), *cast(Any, begun))
+        self._episodes.restart(cast(Foreign, fresh), *cast(Foreign, begun))
 
     def _look(self) -> None:
         """Observe the state as it is."""
         state, targets = cast(State, self._door.device_state()), self._episodes.targets
-        seen = cast(Any, observe(state, targets, tip_distance(state, targets)))
+        seen = cast(Foreign, observe(state, targets, tip_distance(state, targets)))
         self.tensors["observation"].copy_(seen.view(*self._shape, -1))
 
     def _flat(self, name: str) -> Tensor:
@@ -235,7 +240,7 @@ def _pool(work: Work, seeds: Sequence[int], device: torch.device) -> tuple[Tenso
     return tuple(_tensor(np.stack(parts), device) for parts in zip(*drawn, strict=True))
 
 
-def _tensor(array: np.ndarray[Any, Any], device: torch.device) -> Tensor:
+def _tensor(array: NDArray[np.generic], device: torch.device) -> Tensor:
     """Return an array as a tensor; numbers that are not whole in single precision."""
     kind = torch.float32 if array.dtype.kind == "f" else None
     return torch.tensor(array, dtype=kind, device=device)

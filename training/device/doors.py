@@ -1,4 +1,4 @@
-"""What a learner on a device asks of an engine: states and commands as tensors that stay there."""
+"""The door of an engine for a learner on a device: states and commands are tensors that stay."""
 
 from __future__ import annotations
 

@@ -4,9 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from copy import deepcopy
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
+import numpy as np
 import torch
+from numpy.typing import NDArray
 from torch import nn
 from torch.nn import functional
 from tqdm import tqdm
@@ -38,7 +40,7 @@ _CLONE, _START = 3, 4
 
 
 class DeviceParts(NamedTuple):
-    """What learning changes, and networks on the processor to measure and keep."""
+    """The parts that learning changes, and networks on the processor to measure and keep."""
 
     learner: DeviceLearner
     simulation: Simulation
@@ -171,7 +173,7 @@ def _prefilled(
 ) -> Replay:
     """Return the replay that a run begins with."""
 
-    def actions(observations: Any) -> Any:
+    def actions(observations: NDArray[np.float64]) -> NDArray[np.float32]:
         assert clone is not None
         with torch.no_grad():
             return clone.act(torch.as_tensor(observations, dtype=torch.float32)).numpy()

@@ -1,4 +1,4 @@
-"""What is collected on a device is what the environment would have given."""
+"""Rows that are collected on a device are the steps of the environment."""
 
 from __future__ import annotations
 
