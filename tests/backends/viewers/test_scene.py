@@ -1,4 +1,4 @@
-"""What the live view and films show: poses, colours, spaces, numbers, and where the eye is."""
+"""The live view and films show poses, colours, spaces and numbers, from where the eye is."""
 
 from __future__ import annotations
 
