@@ -13,7 +13,6 @@ import xml.etree.ElementTree as ET
 from collections.abc import Mapping
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from cdcsr.robot.colors import HULL, METAL, segment_color, share
 from cdcsr.robot.description import Robot
@@ -62,6 +61,8 @@ def urdf(
     if solid:
         _add_shape(element, "collision", box, 0.0)
     if world and base.mount == "fixed":
+        from scipy.spatial.transform import Rotation  # an import of 0.4 s
+
         ET.SubElement(model.root, "link", name="world")
         turn = Rotation.from_quat(base.quaternion, scalar_first=True).as_euler("xyz")
         model.place("mount", "fixed", "world", "base", base.position, tuple(turn))

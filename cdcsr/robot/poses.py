@@ -6,7 +6,6 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial.transform import Rotation
 
 from cdcsr.robot.description import Robot
 
@@ -24,6 +23,8 @@ class Poses(NamedTuple):
 
 def link_poses(robot: Robot, position: Array) -> Poses:
     """Return the poses at one row of a Snapshot's position, shape (7 + C + H,)."""
+    from scipy.spatial.transform import Rotation  # an import of 0.4 s
+
     base = Rotation.from_quat(position[3:7], scalar_first=True).as_matrix()
     _, turns, joints = (part[0] for part in arms(robot, position[None, 7 + robot.num_cables :]))
     return Poses(np.concatenate([[base], base @ turns]), position[:3] + joints @ base.T)

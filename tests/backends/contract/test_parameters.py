@@ -11,7 +11,6 @@ from numpy.typing import ArrayLike
 from backends.contract_suite.parameters import PLACES, STEPS
 from backends.contract_suite.states import Make, assert_same, commands_of, random_parameters
 from backends.mujoco.simulation import MujocoSimulation
-from backends.pybullet.simulation import PybulletSimulation
 from cdcsr.errors import CdcsrError
 from cdcsr.robot.description import Robot
 from cdcsr.simulation.delay_line import MAX_DELAY
@@ -62,22 +61,18 @@ def test_engines_move_alike_with_the_same_parameters(make: Make, paper: Robot) -
     assert moved > 5 * apart[True]
 
 
-def test_workers_and_threads_have_the_parameters_too(paper: Robot) -> None:
+def test_threads_have_the_parameters_too(paper: Robot) -> None:
     num = 5
     parameters = dataclasses.replace(random_parameters(paper, 3), command_delay=[2, 0, 1])
-    pairs = [
-        (MujocoSimulation(paper, num, threads=1), MujocoSimulation(paper, num, threads=2)),
-        (PybulletSimulation(paper, num, workers=0), PybulletSimulation(paper, num, workers=2)),
-    ]
-    for pair in pairs:
-        for simulation in pair:
-            simulation.set_parameters([0, 2, 4], parameters)
-            for command in commands_of(paper, 20, num, hold=10):
-                simulation.step(command, 2)
-        assert_same(pair[0].state(), pair[1].state())
-        assert_same(pair[0].dynamics([4]), pair[1].dynamics([4]))
-        for simulation in pair:
-            simulation.close()
+    pair = [MujocoSimulation(paper, num, threads=count) for count in (1, 2)]
+    for simulation in pair:
+        simulation.set_parameters([0, 2, 4], parameters)
+        for command in commands_of(paper, 20, num, hold=10):
+            simulation.step(command, 2)
+    assert_same(pair[0].state(), pair[1].state())
+    assert_same(pair[0].dynamics([4]), pair[1].dynamics([4]))
+    for simulation in pair:
+        simulation.close()
 
 
 @pytest.mark.parametrize(

@@ -16,6 +16,7 @@ from scipy.spatial.transform import Rotation
 
 from backends.contract_suite.states import assert_same, commands_of, random_parameters, straight
 from backends.pybullet.benchmarks import step_cost
+from backends.pybullet.cables import joint_forces
 from backends.pybullet.dampers import stiff_dampers
 from backends.pybullet.equation import Equation
 from backends.pybullet.options import PybulletOptions, PybulletStockOptions
@@ -195,6 +196,18 @@ def test_substeps_of_bullet_are_smaller_time_steps(paper: Robot) -> None:
     fine.close()
 
 
+def test_kernels_are_compiled_once_for_all_robots() -> None:
+    """Compiling anew takes ten seconds for each combination of types; read-only is a type too."""
+    found = set[int]()
+    for name, force in (("paper", 0.0), ("paper", 1.0), ("hanging-arm", 0.0)):
+        simulation = PybulletSimulation(load_robot(name))
+        simulation.set_loads(None, -1, force=(force, 0.0, 0.0))
+        simulation.step(np.zeros((1, 8)))
+        found.add(len(joint_forces.signatures))  # type: ignore[attr-defined]  # Numba's
+        simulation.close()
+    assert len(found) == 1
+
+
 def with_velocity(snapshot: Snapshot, copy: int, speed: float) -> Snapshot:
     velocity = snapshot.velocity.copy()
     velocity[copy, -1] = speed
@@ -236,34 +249,25 @@ def test_an_impossible_time_step_diverges(paper: Robot) -> None:
 
 
 def test_workers_give_the_same_numbers(paper: Robot) -> None:
-    commands = commands_of(paper, 20, 5, hold=10)
-    here, there = PybulletSimulation(paper, 5, workers=0), PybulletSimulation(paper, 5, workers=2)
-    for command in commands:
-        here.step(command, 2)
-        there.step(command, 2)
-    here.reset([0, 4])
-    there.reset([0, 4])
-    assert_same(here.state(), there.state())
-    assert_same(here.dynamics([1]), there.dynamics([1]))
-    here.close()
-    there.close()
-
-
-def test_workers_get_what_is_set_for_their_copies(paper: Robot) -> None:
-    """Parameters, loads and states of some copies, which two workers share as 2 and 3."""
+    """With parameters, loads and states of some copies, which two workers share as 2 and 3."""
     here, there = PybulletSimulation(paper, 5, workers=0), PybulletSimulation(paper, 5, workers=2)
     position = here.get_snapshot().position[[0, 3]]
     position[:, -2:] = [[0.1, -0.2], [0.3, 0.05]]
+    parameters = dataclasses.replace(random_parameters(paper, 2), command_delay=[2, 1])
     for simulation in (here, there):
-        simulation.set_parameters([1, 4], random_parameters(paper, 2))
+        simulation.set_parameters([1, 4], parameters)
         simulation.set_loads([0, 3], 4, force=(3.0, 0.0, 1.0))
         simulation.set_loads([2, 4], -1, torque=(0.0, 2.0, 0.0))
         simulation.place([0, 3], position, np.zeros((2, paper.num_coordinates)))
         for command in commands_of(paper, 10, 5, hold=5):
-            simulation.step(command)
+            simulation.step(command, 2)
     assert_same(here.state(), there.state())
     assert len({tuple(tip) for tip in here.state().tip_position.round(6).tolist()}) == 5
+    assert_same(here.dynamics([4]), there.dynamics([4]))
     saved = here.get_snapshot()
+    for simulation in (here, there):
+        simulation.reset([0, 4])
+    assert_same(here.state(), there.state())
     for simulation in (here, there):
         simulation.reset()
         simulation.set_snapshot(saved)
