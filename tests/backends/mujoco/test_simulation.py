@@ -136,6 +136,19 @@ def test_an_excess_is_taken_back_with_the_recovery_time(paper: Robot) -> None:
         assert after < max(keep * before, 0) + 6e-6
 
 
+def test_a_cable_that_stays_taut_gives_back_the_same_share_in_every_step(paper: Robot) -> None:
+    """It begins 2 mm too long, and its servo pulls."""
+    start, command = straight(paper), np.zeros((1, paper.num_cables))
+    start.position[0, 7], command[0, 0] = -2e-3, -1.0
+    simulation = MujocoSimulation(paper)
+    simulation.set_snapshot(start)
+    keep, excess = 1 - paper.time_step / paper.constraint.recovery_time, []
+    for _ in range(6):
+        simulation.step(command)
+        excess.append(-slack(paper, simulation)[0, 0])
+    np.testing.assert_allclose(excess, 2e-3 * keep ** np.arange(1, 7), rtol=0, atol=1e-6)
+
+
 def test_a_few_copies_are_stepped_by_one_thread(
     paper: Robot, monkeypatch: pytest.MonkeyPatch
 ) -> None:

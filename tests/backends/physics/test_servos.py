@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.optimize import minimize
 
-from backends.contract_suite.states import commands_of, running, straight
+from backends.contract_suite.states import assert_same, commands_of, running, straight
 from cdcsr.errors import CdcsrError
 from cdcsr.robot.description import Robot, load_robot, parse_robot
 from cdcsr.simulation.contract import Array
@@ -79,6 +79,19 @@ def test_pretension_pulls_all_cables_of_the_straight_arm(undamped_engine: str) -
     np.testing.assert_allclose(state.joint_angles, 0, atol=1e-6)
     soft = "soft_cables" in simulation.capabilities  # stretch takes some of it off the spring
     np.testing.assert_allclose(state.cable_tension, 8.0, rtol=0.05 if soft else 1e-3)
+
+
+def test_a_servo_that_pulls_half_as_hard_again_is_one_that_is_told_so(engine: str) -> None:
+    """A servo for tensions has no spring, so its gain only scales the command."""
+    robot, command = arm(**TENSION), np.array([[9.0, 0.0, 3.0, 6.0]])
+    ends = []
+    for gain in (1.0, 1.5):
+        with running(robot, engine) as simulation:
+            simulation.set_parameters(None, Parameters(servo_gain=gain))
+            simulation.step(command * 1.5 / gain, 40)
+            ends.append(simulation.state())
+    assert_same(*ends, atol=1e-9)
+    assert np.abs(ends[0].cable_travel).max() > 1e-3
 
 
 def test_the_demonstrator_asks_any_servo_for_the_same_tensions() -> None:
