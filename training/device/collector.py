@@ -88,11 +88,11 @@ class DeviceCollector:
         self._actions = actions_per_episode(work.task.max_steps, work.frame_skip)
         self._step = robot.time_step
         self._episodes = Episodes(runs * copies, work.task, work.space)
-        self._episodes.convert(lambda array: _tensor(array, device))
+        self._episodes.convert(lambda array: as_tensor(array, device))
         self.draws = Streams(keys(seeds, _PURPOSE), device)
         self._pool = _pool(work, seeds, device)
         self._run = torch.arange(runs, device=device)[:, None]
-        self._scale = _tensor(exploration_noise(learner), device)[None, :, None]
+        self._scale = as_tensor(exploration_noise(learner), device)[None, :, None]
         self._hold, self._copy = learner.noise_hold, torch.arange(copies, device=device)
         self._endless = not work.task.ends and work.task.reward_kind == "sparse"
         self._pay = 1 - learner.discount if self._endless else 1.0
@@ -237,10 +237,10 @@ def _pool(work: Work, seeds: Sequence[int], device: torch.device) -> tuple[Tenso
         rng = np.random.default_rng(seed)
         place = work.space.sample(rng, POOL)
         drawn.append((place, *motion.begin(rng, place)))
-    return tuple(_tensor(np.stack(parts), device) for parts in zip(*drawn, strict=True))
+    return tuple(as_tensor(np.stack(parts), device) for parts in zip(*drawn, strict=True))
 
 
-def _tensor(array: NDArray[np.generic], device: torch.device) -> Tensor:
+def as_tensor(array: NDArray[np.generic], device: torch.device) -> Tensor:
     """Return an array as a tensor; numbers that are not whole in single precision."""
     kind = torch.float32 if array.dtype.kind == "f" else None
     return torch.tensor(array, dtype=kind, device=device)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from copy import deepcopy
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
@@ -22,12 +23,14 @@ from training.algorithms.bc import pairs
 from training.algorithms.registry import find_algorithm
 from training.algorithms.td3 import TD3, BackboneNumbers
 from training.config.learner import CloneStart, Cloning, Demonstrated
+from training.config.seeds import VALIDATION_SEED
 from training.device.collector import DeviceCollector, Work
 from training.device.doors import open_door
 from training.device.imitation import imitate
 from training.device.learner import DeviceLearner, make_networks
 from training.device.networks import copied, side_by_side, stacked_actor, write_actor
 from training.device.replay import DeviceReplay
+from training.device.trial import DeviceTrial
 from training.experience.mixed_replay import MixedReplay
 from training.experience.replay import Replay
 from training.networks.actor import Actor
@@ -44,6 +47,8 @@ class DeviceParts(NamedTuple):
 
     learner: DeviceLearner
     simulation: Simulation
+    trial: DeviceTrial
+    """Measures on the validation targets, in an engine's copies of its own."""
     actors: list[Actor]
     """One for each run; the learner does not know them."""
 
@@ -101,6 +106,7 @@ def make_parts(setups: Sequence[Setup], device: torch.device) -> DeviceParts:
     ]
     networks, module = make_networks(algorithms, learner, device), deepcopy(actors[0]).to(device)
     robot, seeds = setups[0].robot, [setup.config.seed for setup in setups]
+    episodes = setups[0].config.evaluate_episodes
     simulation = make_simulation(robot, setups[0].config.backend, len(seeds) * learner.num_envs)
     shape = len(seeds), learner.num_envs, learner.capacity // learner.num_envs
     sizes = len(module.encoder.offset), robot.num_cables
@@ -118,7 +124,10 @@ def make_parts(setups: Sequence[Setup], device: torch.device) -> DeviceParts:
     parts = DeviceLearner(
         learner, networks, collector, replay, module.encoder, shown, seeds, device
     )
-    return DeviceParts(parts, simulation, actors)
+    exam = make_simulation(robot, setups[0].config.backend, len(seeds) * episodes)
+    aims = replace(work, space=make_space(setups[0].config.space, robot, setups[0].centers))
+    trial = DeviceTrial(open_door(exam, device), aims, len(seeds), VALIDATION_SEED, module, device)
+    return DeviceParts(parts, simulation, trial, actors)
 
 
 def _clones(setups: Sequence[Setup], learner: BackboneNumbers, device: torch.device) -> list[Actor]:

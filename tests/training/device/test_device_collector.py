@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from copy import deepcopy
 from typing import Any
 
 import numpy as np
@@ -19,9 +20,12 @@ from training.device.collector import DeviceCollector, Work
 from training.device.doors import HostDoor
 from training.device.networks import side_by_side, stacked_actor
 from training.device.replay import DeviceReplay
+from training.device.trial import DeviceTrial
 from training.experience.replay import Replay
+from training.measure.evaluation import evaluate
 from training.networks.actor import Actor
 from training.networks.mirror_symmetry import MirrorSymmetry
+from training.policy import load_policy, shipped_policies
 
 PAPER, CPU = load_robot("paper"), torch.device("cpu")
 RUNS, COPIES, ROWS = 2, 3, 400
@@ -151,3 +155,25 @@ def test_a_run_collects_alone_what_it_collects_beside_others() -> None:
     )
     for one in (both, alone):
         one.close()
+
+
+@pytest.mark.parametrize("task", ["reach", "capture-drift", "follow-circle"])
+def test_a_trial_measures_what_an_evaluation_does(task: str) -> None:
+    shipped = load_policy(shipped_policies()["batd3-spatter-mujoco"])
+    own = evaluate(shipped, PAPER, "mujoco", "spatter", 20, 7, task=task)
+    env = TaskVectorEnv(1, PAPER, space="spatter", task=task, centers=shipped.centers)
+    door = HostDoor(make_simulation(PAPER, "mujoco", 40), CPU)
+    trial = DeviceTrial(door, Work(env.task, env.space, 1), 2, 7, shipped.actor, CPU)
+    np.testing.assert_array_equal(trial.targets, own.targets)
+    idle = deepcopy(shipped.actor)
+    torch.nn.init.zeros_(idle.net[-1].weight)  # type: ignore[arg-type]
+    layers = side_by_side([stacked_actor(shipped.actor), stacked_actor(idle)], CPU)
+    for _ in range(2):  # a second trial begins anew
+        outcome = trial.run(layers)
+        np.testing.assert_array_equal(outcome.success[0], own.success)
+        length = np.where(own.success, outcome.length[0], env.task.max_steps)
+        np.testing.assert_array_equal(length, own.length)
+        np.testing.assert_allclose(outcome.distance[0], own.distance, atol=1e-3)
+        assert outcome.success[0].sum() > outcome.success[1].sum() or task != "reach"
+    env.close()
+    trial.close()
