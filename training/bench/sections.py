@@ -40,7 +40,7 @@ def run_sections(
         if name not in sections:
             raise CdcsrError(unknown_choice("section", name, sections))
     values: dict[str, object] = {}
-    for name in names or sections:
+    for name in names or [name for name in sections if name != "gpu" or has_gpu()]:
         print(f"{name}:", flush=True)
         for row in sections[name]():
             number = "     -" if row.value is None else f"{row.value:6.2f}"
@@ -62,7 +62,24 @@ def all_sections(
         "growth": partial(growth, robot, plot),
         "arms": partial(arms, robot, python),
         "trainer": partial(trainer, robot, python),
+        "gpu": partial(_gpu, robot),
     }
+
+
+def has_gpu() -> bool:
+    """Say whether PyTorch finds a GPU."""
+    import torch
+
+    return torch.cuda.is_available()
+
+
+def _gpu(robot: Robot) -> Iterator[Measurement]:
+    """Measure on the GPU."""
+    import torch
+
+    from training.bench.gpu import gpu
+
+    yield from gpu(robot, torch.device("cuda"))
 
 
 def _engine_section(load: Callable[[], Section], robot: Robot) -> Iterator[Measurement]:

@@ -16,10 +16,11 @@ def bench(
     """Measure speed and memory, mostly as ratios to something that ran in turns with it.
 
     The machine's own speed is printed beside each ratio. The section "trainer" needs the
-    development dependencies; "memory" needs a system with the `resource` module.
+    development dependencies; "memory" needs a system with the `resource` module; "gpu" needs the
+    extra `gpu` and takes about six minutes.
 
     Args:
-        sections: memory, growth, arms, trainer, or one that an engine brings; by default all.
+        sections: memory, growth, arms, trainer, gpu, or one that an engine brings; by default all.
         json: also write the numbers to this file.
         plot: also draw how the cost of a step grows with the robot, into this folder.
         peers: an interpreter that has gym-softrobot and sbx-rl; by default this one.

@@ -52,6 +52,11 @@ class DeviceParts(NamedTuple):
     actors: list[Actor]
     """One for each run; the learner does not know them."""
 
+    def close(self) -> None:
+        """Release the engines."""
+        self.simulation.close()
+        self.trial.close()
+
 
 def check_device(setup: Setup) -> tuple[type[TD3[BackboneNumbers]], BackboneNumbers]:
     """Return the algorithm of a run and its numbers.
@@ -87,6 +92,8 @@ def check_device(setup: Setup) -> tuple[type[TD3[BackboneNumbers]], BackboneNumb
 def make_parts(setups: Sequence[Setup], device: torch.device) -> DeviceParts:
     """Make the parts of runs that differ in nothing but their seeds; all have begun."""
     kind, learner = check_device(setups[0])
+    for setup in setups[1:]:
+        setup.episodes = setups[0].episodes  # demonstrations do not depend on the seed
     algorithms = []
     for setup in setups:  # each has the weights that it would have alone
         torch.manual_seed(setup.config.seed)

@@ -95,8 +95,7 @@ class DeviceRuns:
         try:
             return self._learn(parts)
         finally:
-            parts.simulation.close()
-            parts.trial.close()
+            parts.close()
 
     def _learn(self, parts: DeviceParts) -> list[Policy]:
         """Collect, store and update until the updates or the minutes are used up."""
