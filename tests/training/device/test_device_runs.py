@@ -21,7 +21,12 @@ from training.run.setup import Setup
 from training.run.train_options import Train
 
 CPU = torch.device("cpu")
-METHODS = [name for name, one in ALGORITHMS.items() if one.learner and name != "her"]
+FAST = {"batd3", "rbl", "rlpd", "drldr"}  # a target of its own, a loss, a buffer, a reward
+METHODS = [
+    pytest.param(name, marks=() if name in FAST else pytest.mark.slow)
+    for name, one in ALGORITHMS.items()
+    if one.learner and name != "her"
+]
 
 
 def _config(out: Path, demonstrations: Path, algorithm: str = "clasp", **options: Any) -> Train:
