@@ -195,7 +195,8 @@ class Copy:
         # In the first line, Numba runs what it makes of a kernel in the test that compiles it.
         bodies = (tests for line, tests in lines.items() if line != "1")
         every = [{test for test in tests if test} for tests in bodies]
-        exact = {test for test in lines.get(str(mutant.line), []) if test}
+        line = lines.get(str(mutant.line), [])
+        exact = set() if "" in line else set(line)  # what runs at import, too, any test may need
         names = f"from {mutant.file[:-3].replace('/', '.')} ", Path(mutant.file).name
         files = {_file_of(test) for test in self._seconds}
         texts = {file: (self._folder / file).read_text("utf-8") for file in files}

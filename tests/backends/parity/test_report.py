@@ -40,6 +40,15 @@ def loop(commands: str) -> OpenLoop:
     return OpenLoop(commands, STEPS, time, tips, noise, ideal, switches, arm_length=2.0)
 
 
+def test_motions_as_small_as_rounding_tell_no_order() -> None:
+    """Beside an arm of 1 km, 0.1 nm is rounding: there the second of two instants only rustles."""
+    tips = 3 * STEPS[:, None, None, None] * np.ones((3, 2, 1, 3))
+    tips[:, 1] = 1e-10 * np.array([1, -1, 1])[:, None, None]
+    whole = replace(loop("random"), tips={"a": tips}, arm_length=1e3)
+    assert whole.order("a") == pytest.approx(1)
+    assert replace(whole, arm_length=1.0).order("a") < 0.6  # there it is a motion
+
+
 def data_of(line: Line2D) -> tuple[Array, Array]:
     return np.asarray(line.get_xdata(), float), np.asarray(line.get_ydata(), float)
 
