@@ -31,8 +31,10 @@ class Reach(Task):
     def _verdict(self, on_target: Mask, counts: Counts) -> Verdict:
         return Verdict(on_target, on_target, on_target, on_target)
 
-    def _first_success(self, on_target: Mask) -> int | None:
-        return int(on_target.argmax()) + 1 if on_target.any() else None
+    def first_successes(self, on_target: Mask) -> NDArray[np.int64]:
+        xp = array_namespace(on_target)
+        ever = xp.astype(on_target, xp.int8)
+        return (xp.argmax(ever, axis=1) + 1) * xp.any(on_target, axis=1)
 
 
 @dataclass(frozen=True)
@@ -138,12 +140,13 @@ class Follow(Task):
         )
         return self.reward(after[:, DISTANCE], on_target)
 
-    def _first_success(self, on_target: Mask) -> int | None:
-        """Return T if the episode succeeds; only its end decides that."""
-        counts = self.new_counts(1)
-        for holds in on_target:
-            self._count(np.array([holds]), counts)
-        return len(on_target) if self._verdict(on_target[-1:], counts).success[0] else None
+    def first_successes(self, on_target: Mask) -> NDArray[np.int64]:
+        """Return T where the episode succeeds, else 0; only its end decides that."""
+        num, actions = on_target.shape
+        counts = self.new_counts(num)
+        for action in range(actions):
+            self._count(on_target[:, action], counts)
+        return actions * self._verdict(on_target[:, -1], counts).success.astype(np.int64)
 
 
 TASKS: dict[str, Task] = {

@@ -190,9 +190,10 @@ def with_target(observations: Array, target: Array) -> Array:
         observations: shape (..., observation size).
         target: shape (3,), or one for each observation; in [m].
     """
-    moved = np.array(observations)
+    xp = array_namespace(observations)
+    moved = xp.asarray(observations, copy=True)
     moved[..., TARGET] = target
-    moved[..., DISTANCE] = np.linalg.norm(target - moved[..., TIP_POSITION], axis=-1)
+    moved[..., DISTANCE] = xp.linalg.vector_norm(target - moved[..., TIP_POSITION], axis=-1)
     return moved
 
 

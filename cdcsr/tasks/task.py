@@ -241,20 +241,22 @@ class Task(ABC):
             base_quaternion = np.zeros((len(tip_position), 4))
         distance = np.linalg.norm(tip_position - target, axis=1)
         on_target = self.on_target(distance, tip_velocity, base_position, base_quaternion)
-        return self._first_success(on_target[1:])
+        return int(self.first_successes(on_target[None, 1:])[0]) or None
 
-    def _first_success(self, on_target: Mask) -> int | None:
-        """Return after how many actions one episode succeeds.
+    def first_successes(self, on_target: Mask) -> NDArray[np.int64]:
+        """Return after how many actions episodes succeed, shape (n,); 0 where they do not.
 
         Args:
-            on_target: whether the tip was on target after each action, shape (T,).
+            on_target: whether the tip was on target after each action, shape (n, T).
         """
-        counts = self.new_counts(1)
-        for action, holds in enumerate(on_target, start=1):
-            self._count(np.array([holds]), counts)
-            if self._verdict(np.array([holds]), counts).success[0]:
-                return action
-        return None
+        xp = array_namespace(on_target)
+        first = xp.sum(on_target, axis=1, dtype=xp.int64) * 0
+        counts = {name: xp.zeros_like(first) for name in self.count_names}
+        for action in range(on_target.shape[1]):
+            self._count(on_target[:, action], counts)
+            success = self._verdict(on_target[:, action], counts).success & (first == 0)
+            first = first + (action + 1) * success
+        return first
 
 
 def base_errors(position: Array, quaternion: Array) -> tuple[Array, Array]:

@@ -125,7 +125,8 @@ def _learner(device: torch.device, extent: Extent) -> Iterator[Measurement]:
     rounds: dict[int, float] = {}
     for seeds in (1, extent.seeds):
         with TemporaryDirectory() as folder:
-            parts = make_parts(_setups(Path(folder), extent, seeds), device)
+            config = _config(Path(folder), extent, "spatter", "reach", None, seeds)
+            parts = make_parts([Setup(one) for one in config.each_seed()], device)
             try:
                 update, step = _timed(parts, device, extent.steps)
             finally:
@@ -189,11 +190,6 @@ def mean_curve(folders: Sequence[Path]) -> list[tuple[float, float]]:
         (rows[0]["minutes"], float(np.mean([row["success_rate"] for row in rows])))
         for rows in zip(*tables, strict=True)
     ]
-
-
-def _setups(folder: Path, extent: Extent, seeds: int) -> list[Setup]:
-    config = _config(folder / "runs", extent, "spatter", "reach", None, seeds)
-    return [Setup(one) for one in config.each_seed()]
 
 
 def _config(

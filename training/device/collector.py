@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any, cast
+from typing import cast
 
 import numpy as np
 import torch
@@ -26,7 +26,7 @@ from cdcsr.tasks.target_motion import make_motion
 from cdcsr.tasks.task import Task
 from training.algorithms.reference_update import Layer, output
 from training.config.learner import Practising
-from training.device.doors import Door
+from training.device.doors import Door, Foreign
 from training.device.graphs import Repeated
 from training.device.replay import DeviceReplay, Step
 from training.device.streams import Streams, keys
@@ -37,8 +37,6 @@ POOL = 16_384
 """How many targets are drawn for a run, with the generator of its seed. Every episode takes one of
 them at random, so that nothing is drawn while steps are made."""
 _PURPOSE = 1
-Foreign = Any
-"""A tensor where the types of tasks and episodes say NumPy, or the other way round."""
 
 
 @dataclass(frozen=True)

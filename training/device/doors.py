@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import fields
-from typing import NamedTuple, Protocol, cast
+from typing import Any, NamedTuple, Protocol, cast
 
 import numpy as np
 import torch
@@ -16,6 +16,8 @@ from cdcsr.robot.description import Robot
 from cdcsr.simulation.contract import Simulation, Snapshot
 from cdcsr.simulation.state import State
 
+Foreign = Any
+"""A tensor where the types of tasks and episodes say NumPy, or the other way round."""
 _SNAPSHOT = "time", "position", "velocity", "private"
 
 

@@ -65,8 +65,8 @@ class DeviceReplay:
         device: torch.device,
     ) -> None:
         (runs, copies, steps), (observation, action) = shape, sizes
-        self._shape, self._longest = shape, longest
-        self._return_steps = return_steps
+        self.shape, self.longest = shape, longest
+        self.return_steps = return_steps
         rows = (steps, runs, copies)
 
         def zeros(*shape: int, dtype: torch.dtype = torch.float32) -> Tensor:
@@ -80,16 +80,17 @@ class DeviceReplay:
             "outcome": zeros(*rows),
             "last": zeros(*rows, dtype=torch.bool),
             "terminated": zeros(*rows, dtype=torch.bool),
+            "number": zeros(*rows, dtype=torch.int64),  # of the row in its episode, from zero
             "begins": zeros(*rows, dtype=torch.bool),  # a transition of a complete episode
             "time": zeros(dtype=torch.int64),
             "age": zeros(runs, copies, dtype=torch.int64),
             "count": zeros(runs, dtype=torch.int64),  # of rows that begin a transition
         }
         """All that changes, by name; `time` counts steps, `age` those of the current episode."""
-        self._run = torch.arange(runs, device=device)[:, None]
+        self.run = torch.arange(runs, device=device)[:, None]
         self._back = torch.arange(longest, device=device)
         self._ahead = torch.arange(return_steps, device=device)
-        self._weights = discount ** torch.arange(max(longest, return_steps + 1), device=device)
+        self.weights = discount ** torch.arange(max(longest, return_steps + 1), device=device)
         self._kept = _table(prefilled, device)
         self._num_kept = torch.tensor([_num(one) for one in prefilled], device=device)[:, None]
 
@@ -106,15 +107,16 @@ class DeviceReplay:
     def write(self, step: Step) -> None:
         """Store what is known of a step before it is made."""
         rows = self.tensors
-        row = (rows["time"] % self._shape[2])[None]
+        row = (rows["time"] % self.shape[2])[None]
         rows["count"] -= rows["begins"].index_select(0, row)[0].sum(-1)
         for name in ("observation", "action", "bc_action", "last", "terminated"):
             rows[name].index_copy_(0, row, getattr(step, name)[None])
+        rows["number"].index_copy_(0, row, rows["age"][None])
         for name in ("reward", "outcome", "begins"):
             rows[name].index_fill_(0, row, 0)
         # An episode is complete now: its rows before this one begin transitions.
         complete = (self._back[:, None, None] < rows["age"]) & step.last & ~step.dropped
-        before = (rows["time"] - 1 - self._back) % self._shape[2]
+        before = (rows["time"] - 1 - self._back) % self.shape[2]
         rows["begins"].index_copy_(0, before, rows["begins"].index_select(0, before) | complete)
         rows["count"] += complete.sum((0, 2))
 
@@ -125,13 +127,13 @@ class DeviceReplay:
         """
         rows = self.tensors
         time, age = rows["time"], rows["age"]
-        row = (time % self._shape[2])[None]
+        row = (time % self.shape[2])[None]
         last = rows["last"].index_select(0, row)[0]
         rows["reward"].index_copy_(0, row, torch.where(last, 0.0, reward)[None])
         # The rows of the episode so far, this one first.
         own = (self._back[:, None, None] <= age) & ~last
-        gain = torch.where(own, self._weights[: self._longest, None, None] * reward, 0.0)
-        rows["outcome"].index_add_(0, (time - self._back) % self._shape[2], gain)
+        gain = torch.where(own, self.weights[: self.longest, None, None] * reward, 0.0)
+        rows["outcome"].index_add_(0, (time - self._back) % self.shape[2], gain)
         age.copy_(torch.where(last, 0, age + 1))
         time += 1
 
@@ -147,11 +149,12 @@ class DeviceReplay:
         Returns:
             Tensors of shape (S, B, ...).
         """
-        collected, found = self._collected(size, draws)
+        row, copy, found = self._drawn(size, draws)
+        collected = self._transitions(row, copy, draws)
         if self._kept is None:
             return collected
         rows = draws.below(self._num_kept, size)
-        kept = Batch(*(table[self._run, rows] for table in self._kept))
+        kept = Batch(*(table[self.run, rows] for table in self._kept))
         ready = self.tensors["count"][:, None]
         if kept_share is None:
             own = draws.below(self._num_kept + ready, size) >= self._num_kept
@@ -159,43 +162,47 @@ class DeviceReplay:
             share = torch.arange(size, device=ready.device) < round(kept_share * size)
             own = (ready >= size) & ~share
         own = own & found
-        return Batch(*(_where(own, a, b) for a, b in zip(collected, kept, strict=True)))
+        return Batch(*(choose(own, a, b) for a, b in zip(collected, kept, strict=True)))
 
-    def _collected(self, size: int, draws: Streams) -> tuple[Batch, Tensor]:
-        """Draw transitions from collected rows, and say which of them are some, (S, B).
+    def _drawn(self, size: int, draws: Streams) -> tuple[Tensor, Tensor, Tensor]:
+        """Draw rows and their copies, and say which of them begin a transition, (S, B) each.
 
-        Where all tries failed, another transition of the batch stands in, if there is one.
+        Where all tries failed, another row of the batch stands in, if there is one.
         """
-        (runs, copies, steps), rows = self._shape, self.tensors
+        (runs, copies, steps), rows = self.shape, self.tensors
         filled = rows["time"].clamp(1, steps)
         flat = rows["begins"].view(-1)
         tried = draws.below(copies * steps, _TRIES * size).view(runs, _TRIES, size)
         row, copy = tried // copies % filled, tried % copies
-        place = (row * runs + self._run[..., None]) * copies + copy
+        place = (row * runs + self.run[..., None]) * copies + copy
         begins = flat[place].to(torch.int8)
         first, found = begins.argmax(1, keepdim=True), begins.amax(1)
         row, copy = (x.gather(1, first).squeeze(1) for x in (row, copy))
         stand_in = found.argmax(1, keepdim=True).expand_as(row)
         row, copy = (torch.where(found > 0, x, x.gather(1, stand_in)) for x in (row, copy))
+        return row, copy, found > 0
+
+    def _transitions(self, row: Tensor, copy: Tensor, draws: Streams) -> Batch:
+        """Return the transitions that begin at some rows of some copies."""
+        steps, rows = self.shape[2], self.tensors
         # Up to n rewards ahead, until the episode's last row.
         ahead = (row[..., None] + self._ahead) % steps
-        at = self._run[..., None], copy[..., None]
+        at = self.run[..., None], copy[..., None]
         going = (~rows["last"][ahead, *at]).to(torch.int64).cumprod(-1)
-        weight = self._weights[: self._return_steps]
+        weight = self.weights[: self.return_steps]
         reward = (rows["reward"][ahead, *at] * weight * going).sum(-1)
         num = going.sum(-1)
-        end, own = (row + num) % steps, (self._run, copy)
-        batch = Batch(
+        end, own = (row + num) % steps, (self.run, copy)
+        return Batch(
             observation=rows["observation"][row, *own],
             action=rows["action"][row, *own],
             reward=reward,
-            discount=torch.where(rows["terminated"][end, *own], 0.0, self._weights[num]),
+            discount=torch.where(rows["terminated"][end, *own], 0.0, self.weights[num]),
             next_observation=rows["observation"][end, *own],
             bc_action=rows["bc_action"][row, *own],
             next_bc_action=rows["bc_action"][end, *own],
             outcome=rows["outcome"][row, *own],
         )
-        return batch, found > 0
 
 
 def _table(prefilled: list[Replay], device: torch.device) -> Batch | None:
@@ -224,6 +231,6 @@ def _num(replay: Replay) -> int:
     return int((replay.rows["successor"][: replay.size] >= 0).sum())
 
 
-def _where(condition: Tensor, one: Tensor, other: Tensor) -> Tensor:
+def choose(condition: Tensor, one: Tensor, other: Tensor) -> Tensor:
     """Choose rows of (S, B, ...) by a condition of shape (S, B)."""
     return torch.where(condition.view(*condition.shape, *[1] * (one.dim() - 2)), one, other)

@@ -14,8 +14,8 @@ from cdcsr.simulation.state import State
 from cdcsr.tasks.catalogue import actions_per_episode
 from cdcsr.tasks.observation import observe, tip_distance
 from training.algorithms.reference_update import Layer, output
-from training.device.collector import Foreign, Work, as_tensor
-from training.device.doors import Door
+from training.device.collector import Work, as_tensor
+from training.device.doors import Door, Foreign
 from training.device.graphs import Repeated
 from training.networks.actor import Actor
 

@@ -21,11 +21,12 @@ from cdcsr.tasks.catalogue import actions_per_episode, make_task
 from cdcsr.tasks.spaces import Space, make_space, wider_targets
 from training.algorithms.bc import pairs
 from training.algorithms.registry import find_algorithm
-from training.algorithms.td3 import TD3, BackboneNumbers
+from training.algorithms.td3 import BackboneNumbers
 from training.config.learner import CloneStart, Cloning, Demonstrated
 from training.config.seeds import VALIDATION_SEED
 from training.device.collector import DeviceCollector, Work
 from training.device.doors import open_door
+from training.device.hindsight import HindsightReplay
 from training.device.imitation import imitate
 from training.device.learner import DeviceLearner, make_networks
 from training.device.networks import copied, side_by_side, stacked_actor, write_actor
@@ -58,24 +59,30 @@ class DeviceParts(NamedTuple):
         self.trial.close()
 
 
-def check_device(setup: Setup) -> tuple[type[TD3[BackboneNumbers]], BackboneNumbers]:
-    """Return the algorithm of a run and its numbers.
+def check_device(setup: Setup) -> None:
+    """Check that a run asks for nothing that only `--device cpu` can do.
 
     Raises:
-        CdcsrError: it asks for something that only `--device cpu` can do.
+        CdcsrError: it does.
     """
     config, learner = setup.config, setup.learner
     kind = find_algorithm(config.algorithm).learner
-    if kind is None or not isinstance(learner, BackboneNumbers):
-        raise CdcsrError(f"device must be cpu for {config.algorithm}, which is supervised.")
-    actions = actions_per_episode(make_task(config.task, setup.robot).max_steps, setup.frame_skip)
+    if kind is None:
+        return
+    assert isinstance(learner, BackboneNumbers)
+    task = make_task(config.task, setup.robot)
+    actions = actions_per_episode(task.max_steps, setup.frame_skip)
     if learner.capacity < (least := learner.num_envs * (actions + 2)):
         raise CdcsrError(
             f"capacity must be at least {least} with device cuda, where every one of "
             f"{learner.num_envs} environments stores its last episode; found {learner.capacity}."
         )
+    if learner.hindsight and (kind.uses_clone or learner.symmetry or not task.ends):
+        raise CdcsrError(
+            f"hindsight must be 0 with device cuda for algorithms with a clone, with symmetry and "
+            f"for tasks that do not end; found {learner.hindsight}. Choose device cpu."
+        )
     for name, value, only in (
-        ("hindsight", learner.hindsight, 0),
         ("bfloat16", learner.bfloat16, False),
         ("start", config.start, "still"),
         ("randomize", config.randomize, 0.0),
@@ -86,23 +93,22 @@ def check_device(setup: Setup) -> tuple[type[TD3[BackboneNumbers]], BackboneNumb
                 f"{name} must be {only} with device cuda, which knows nothing else; found {value}. "
                 "Choose device cpu."
             )
-    return kind, learner
 
 
 def make_parts(setups: Sequence[Setup], device: torch.device) -> DeviceParts:
     """Make the parts of runs that differ in nothing but their seeds; all have begun."""
-    kind, learner = check_device(setups[0])
-    for setup in setups[1:]:
-        setup.episodes = setups[0].episodes  # demonstrations do not depend on the seed
+    kind, learner = find_algorithm(setups[0].config.algorithm).learner, setups[0].learner
+    assert kind is not None
+    assert isinstance(learner, BackboneNumbers)
     algorithms = []
     for setup in setups:  # each has the weights that it would have alone
         torch.manual_seed(setup.config.seed)
         algorithms.append(kind(setup.robot, learner, torch.Generator()))
     actors = [one.actor for one in algorithms]
-    clones = _clones(setups, learner, device) if kind.uses_clone else None
+    clones = make_clones(setups, device) if kind.uses_clone else None
     resumed = all((setup.config.out / STATE).exists() for setup in setups)
     if isinstance(learner, CloneStart) and learner.clone_start and not resumed:
-        _imitate("actor", setups, actors, _START, learner, device)
+        _imitate("actor", setups, actors, _START, device)
     # The environment says what the task is with its period.
     env = setups[0].environment(1, setups[0].config.space)
     work = Work(env.task, _space(setups[0], learner), env.frame_skip)
@@ -117,9 +123,10 @@ def make_parts(setups: Sequence[Setup], device: torch.device) -> DeviceParts:
     simulation = make_simulation(robot, setups[0].config.backend, len(seeds) * learner.num_envs)
     shape = len(seeds), learner.num_envs, learner.capacity // learner.num_envs
     sizes = len(module.encoder.offset), robot.num_cables
-    replay = DeviceReplay(
-        shape, sizes, env.max_actions, learner.discount, learner.return_steps, kept, device
-    )
+    rows = shape, sizes, env.max_actions, learner.discount, learner.return_steps, kept, device
+    replay = DeviceReplay(*rows)
+    if learner.hindsight:
+        replay = HindsightReplay(env.task, learner.hindsight, *rows)
     door = open_door(simulation, device)
     collector = DeviceCollector(door, work, learner, seeds, module, replay, device)
     cloned = None if clones is None else side_by_side([stacked_actor(x) for x in clones], device)
@@ -137,8 +144,9 @@ def make_parts(setups: Sequence[Setup], device: torch.device) -> DeviceParts:
     return DeviceParts(parts, simulation, trial, actors)
 
 
-def _clones(setups: Sequence[Setup], learner: BackboneNumbers, device: torch.device) -> list[Actor]:
+def make_clones(setups: Sequence[Setup], device: torch.device) -> list[Actor]:
     """Train the behaviour clones or, if that is done, read them back."""
+    learner = setups[0].learner
     folders = [setup.config.out / "clone" for setup in setups]
     if all((folder / "policy.json").is_file() for folder in folders):
         return [load_policy(folder).actor for folder in folders]
@@ -146,7 +154,7 @@ def _clones(setups: Sequence[Setup], learner: BackboneNumbers, device: torch.dev
     for setup in setups:
         torch.manual_seed(setup.config.seed)
         clones.append(Actor(setup.robot, error, learner.hidden, "tanh", learner.symmetry))
-    _imitate("clone", setups, clones, _CLONE, learner, device)
+    _imitate("clone", setups, clones, _CLONE, device)
     for setup, folder, clone in zip(setups, folders, clones, strict=True):
         clone.requires_grad_(False)
         setup.policy(clone, "bc").save(folder)
@@ -158,10 +166,10 @@ def _imitate(
     setups: Sequence[Setup],
     actors: Sequence[Actor],
     purpose: int,
-    learner: BackboneNumbers,
     device: torch.device,
 ) -> None:
     """Train actors to do as the demonstrator does, and show the progress."""
+    learner = setups[0].learner
     assert isinstance(learner, Cloning)
     layers = side_by_side([stacked_actor(actor) for actor in actors], device)
     hidden = torch.tanh if isinstance(actors[0].net[1], nn.Tanh) else functional.relu

@@ -19,13 +19,15 @@ from tqdm import tqdm
 from cdcsr.errors import CdcsrError
 from cdcsr.files import read_json, write_json
 from cdcsr.tasks.catalogue import make_task
+from training.algorithms.td3 import BackboneNumbers
 from training.device.doors import restore, snapshot_arrays
 from training.device.networks import write_actor
 from training.device.trial import Outcome
 from training.measure.evaluation import Result
+from training.networks.actor import Actor
 from training.policy import Policy, load_policy
 from training.run.checkpoint import reading_state, write_state
-from training.run.device_parts import DeviceParts, check_device, make_parts
+from training.run.device_parts import DeviceParts, check_device, make_clones, make_parts
 from training.run.metrics import Metrics
 from training.run.setup import Setup
 from training.run.trackers import start_tracker
@@ -74,7 +76,7 @@ class DeviceRuns:
 
     def __init__(self, setups: Sequence[Setup], device: torch.device) -> None:
         self.setups, self.device = setups, device
-        _, self._learner = check_device(setups[0])
+        check_device(setups[0])
         self._folders = [setup.config.out for setup in setups]
         self._started, self._minutes_before = time.monotonic(), 0.0
         self._saved = self._started
@@ -91,6 +93,12 @@ class DeviceRuns:
                 f"Of these runs {sum(finished)} of {len(finished)} are finished; name the seeds of "
                 "the others."
             )
+        for setup in self.setups[1:]:
+            setup.episodes = self.setups[0].episodes  # demonstrations do not depend on the seed
+        learner = self.setups[0].learner
+        if not isinstance(learner, BackboneNumbers):  # supervised
+            return self._finish(make_clones(self.setups, self.device), 0, 0)
+        self._learner = learner
         parts = make_parts(self.setups, self.device)
         try:
             return self._learn(parts)
@@ -133,7 +141,8 @@ class DeviceRuns:
         if stopped:
             print(f"Stopped after update {update}; the same options go on from here.")
             return [load_policy(folder) for folder in self._folders]
-        return self._finish(parts)
+        steps = learner.collector.steps * numbers.num_envs
+        return self._finish(parts.actors, numbers.updates, steps)
 
     def _table(self, setup: Setup, done_before: int) -> Metrics:
         """Go on with the metrics of a run."""
@@ -227,16 +236,15 @@ class DeviceRuns:
         restore(parts.simulation, engine)
         return next(iter(found))
 
-    def _finish(self, parts: DeviceParts) -> list[Policy]:
+    def _finish(self, actors: Sequence[Actor], updates: int, steps: int) -> list[Policy]:
         """Save the policies and the summaries."""
         policies = []
-        steps = parts.learner.collector.steps * self._learner.num_envs
         for run, setup in enumerate(self.setups):
             config = setup.config
             policy = setup.policy(
-                parts.actors[run],
+                actors[run],
                 config.algorithm,
-                updates=self._learner.updates,
+                updates=updates,
                 environment_steps=steps,
                 device=self.device.type,
             )
