@@ -11,7 +11,7 @@ _LONGEST = 1_900
 
 
 _OURS = ("cdcsr", "backends", "controllers", "training", "models")
-_PACKAGES = {"PIL": "pillow"}
+_PACKAGES = {"PIL": "pillow", "warp": "warp-lang"}
 """Packages that do not have the name of their module."""
 
 

@@ -8,7 +8,12 @@ from pathlib import Path
 import pytest
 
 from cdcsr.robot.description import Robot, load_robot
+from cdcsr.simulation import engines
 from tests.support.paths import install
+
+# An engine of an extra has tests of its own, as in tests/backends/warp. No other test should depend
+# on whether the extra is installed, nor compile for minutes.
+engines._complete = lambda point: not point.extras
 
 _ENGINE = """
 from backends.mujoco.simulation import MujocoSimulation

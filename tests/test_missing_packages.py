@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import json
 import subprocess
 import sys
 from collections.abc import Sequence
+from importlib.util import find_spec
 from pathlib import Path
 
 import pytest
@@ -65,6 +67,27 @@ def test_without_pybullet_mujoco_works_and_what_is_left_out_is_told(tmp_path: Pa
         f"cdcsr: warning: The engine pybullet-stock {needs} It is left out.",
         f"cdcsr: error: The engine pybullet {needs}",
     ]
+
+
+@pytest.mark.skipif(find_spec("mujoco_warp") is not None, reason="the extra gpu is installed")
+def test_without_its_extra_the_gpu_engine_is_left_out_silently_and_says_what_it_needs(
+    tmp_path: Path,
+) -> None:
+    """Nobody who has no GPU should be told about it with each command."""
+    build = "build-model planar-single --out model --json model.json"
+    lines = [
+        build,
+        "evaluate jacobian --episodes 1 --backend warp",
+        "evaluate jacobian --backend x",
+    ]
+    codes, _, said = run("none", tmp_path, lines)
+    assert codes == [0, 2, 2]
+    assert "warp" not in json.loads((tmp_path / "model.json").read_text())["backends"]
+    assert said[0] == (
+        "cdcsr: error: The engine warp needs the package warp-lang, which is not installed: "
+        "pip install warp-lang."
+    )
+    assert said[1].startswith("cdcsr: error: Unknown backend 'x'.")
 
 
 @pytest.mark.slow

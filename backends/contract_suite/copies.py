@@ -4,6 +4,8 @@ the future, and commands may arrive late."""
 from __future__ import annotations
 
 import dataclasses
+from functools import partial
+from typing import ClassVar
 
 import numpy as np
 import pytest
@@ -13,6 +15,7 @@ from backends.contract_suite.states import (
     assert_same,
     commands_of,
     moving,
+    rounding,
     running,
     straight,
     tolerance,
@@ -23,11 +26,16 @@ from cdcsr.simulation.contract import Array, Simulation, State
 from cdcsr.simulation.engines import backend_names
 from cdcsr.simulation.plant import Parameters
 
-COPIES = 64
-
 
 def same(one: State, other: State, engine: str) -> None:
-    """Compare every measured quantity, tensions included."""
+    """Compare every measured quantity, tensions included.
+
+    In single precision a rounded length changes the tension of a cable by some tenths of a
+    newton.
+    """
+    if rounding(engine):
+        np.testing.assert_allclose(one.cable_tension, other.cable_tension, rtol=0.01, atol=0.3)
+        one = dataclasses.replace(one, cable_tension=other.cable_tension)
     assert_same(one, other, rtol=tolerance(engine), atol=tolerance(engine))
 
 
@@ -46,6 +54,9 @@ def advance(simulation: Simulation, commands: Array) -> State:
 class CopiesContract:
     """Tests of stepping, resets, snapshots and delays."""
 
+    copies: ClassVar[int] = 64
+    """How many copies are compared with lone ones; at least 4."""
+
     def test_coordinates_are_in_the_contracts_order(self, robot: Robot, engine: str) -> None:
         """The state has the numbers of a snapshot under the right names."""
         snapshot, cables = moving(robot, 3), robot.num_cables
@@ -54,30 +65,33 @@ class CopiesContract:
             state, again = simulation.state(), simulation.get_snapshot()
             flow = simulation.dynamics().velocity
         position, velocity = snapshot.position, snapshot.velocity
-        np.testing.assert_array_equal(state.base_position, position[:, :3])
-        np.testing.assert_allclose(state.base_quaternion, position[:, 3:7], rtol=1e-12)
-        np.testing.assert_array_equal(state.cable_travel, position[:, 7 : 7 + cables])
-        np.testing.assert_array_equal(state.joint_angles, position[:, 7 + cables :])
-        np.testing.assert_allclose(state.base_velocity, velocity[:, :3], atol=1e-15)
-        np.testing.assert_allclose(state.base_angular_velocity, velocity[:, 3:6], atol=1e-12)
-        np.testing.assert_array_equal(state.joint_rates, velocity[:, 6 + cables :])
-        np.testing.assert_allclose(flow, velocity, atol=1e-12)
-        np.testing.assert_allclose(again.velocity, velocity, atol=1e-12)
-        np.testing.assert_allclose(again.position, position, atol=1e-12)
+        same_numbers = partial(np.testing.assert_allclose, rtol=0, atol=1e-12 + rounding(engine))
+        exactly = partial(np.testing.assert_allclose, rtol=0, atol=rounding(engine))
+        exactly(state.base_position, position[:, :3])
+        same_numbers(state.base_quaternion, position[:, 3:7])
+        exactly(state.cable_travel, position[:, 7 : 7 + cables])
+        exactly(state.joint_angles, position[:, 7 + cables :])
+        same_numbers(state.base_velocity, velocity[:, :3])
+        same_numbers(state.base_angular_velocity, velocity[:, 3:6])
+        exactly(state.joint_rates, velocity[:, 6 + cables :])
+        same_numbers(flow, velocity)
+        same_numbers(again.velocity, velocity)
+        same_numbers(again.position, position)
 
-    def test_copies_of_64_move_as_if_alone_also_when_others_are_reset(
+    def test_copies_move_as_if_alone_also_when_others_are_reset(
         self, paper: Robot, engine: str
     ) -> None:
-        commands = commands_of(paper, 30, COPIES, hold=5)
-        gone, kept = list(range(3, COPIES, 5)), [n for n in range(COPIES) if n % 5 != 3]
-        with running(paper, engine, COPIES) as batch:
+        num = self.copies
+        commands = commands_of(paper, 30, num, hold=5)
+        gone, kept = list(range(3, num, 5)), [n for n in range(num) if n % 5 != 3]
+        with running(paper, engine, num) as batch:
             before = advance(batch, commands[:15])
             batch.reset(gone)
             assert_same(batch.state(), before, kept)  # exact in every engine
             assert not batch.state().time[gone].any()
             together = advance(batch, commands[15:])
-        for copy, since in ((0, 0), (17, 0), (63, 15), (3, 15)):
-            assert (copy in gone) == (since > 0)
+        for copy in {0, min(17, num - 2), 3, num - 1}:
+            since = 15 if copy in gone else 0
             with running(paper, engine) as alone:
                 after = advance(alone, commands[since:, copy : copy + 1])
             assert after.cable_tension.max() > 1
@@ -131,6 +145,7 @@ class CopiesContract:
         self, paper: Robot, engine: str
     ) -> None:
         commands, ids = commands_of(paper, 40, 5, hold=5), [1, 3]
+        near = 1e-12 + rounding(engine)
         with running(paper, engine, 5) as simulation, running(paper, engine, 2) as placed:
             simulation.set_parameters(ids, Parameters(command_delay=3))
             before = advance(simulation, commands[:20])
@@ -140,8 +155,8 @@ class CopiesContract:
             placed.set_parameters(None, Parameters(command_delay=3))
             assert_same(simulation.state(), before, [0, 2, 4])
             found = simulation.get_snapshot()
-            np.testing.assert_allclose(found.position[ids], given.position, rtol=0, atol=1e-12)
-            np.testing.assert_allclose(found.velocity[ids], given.velocity, rtol=0, atol=1e-12)
+            np.testing.assert_allclose(found.position[ids], given.position, rtol=0, atol=near)
+            np.testing.assert_allclose(found.velocity[ids], given.velocity, rtol=0, atol=near)
             assert not found.time[ids].any()
             assert found.commands is not None
             assert not found.commands[ids].any()
@@ -180,9 +195,8 @@ class CopiesContract:
             for copy, delay in enumerate(delays):
                 expected = past[max(len(past) - 1 - delay, 0)]
                 # In MuJoCo a robot at rest keeps still to 1e-9 only if its cables are taut.
-                np.testing.assert_allclose(
-                    late.get_snapshot().position[copy], expected, rtol=0, atol=1e-7
-                )
+                found = late.get_snapshot().position[copy]
+                np.testing.assert_allclose(found, expected, rtol=0, atol=1e-7 + rounding(engine))
 
     def test_a_snapshot_holds_the_commands_under_way_in_any_engine(
         self, make: Make, engine: str, paper: Robot
@@ -232,6 +246,5 @@ class CopiesContract:
         with pytest.raises(Diverged, match="copy 1"):
             one.step(commands[0], 5)
         other.step(commands[0], 5)
-        np.testing.assert_allclose(
-            one.get_snapshot().position[0], other.get_snapshot().position[0], atol=1e-10
-        )
+        found, expected = (each.get_snapshot().position[0] for each in (one, other))
+        np.testing.assert_allclose(found, expected, atol=1e-10 + rounding(engine))

@@ -14,6 +14,7 @@ from backends.contract_suite.states import (
     commands_of,
     moving,
     random_parameters,
+    rounding,
     stretch,
     tolerance,
 )
@@ -91,10 +92,17 @@ class ParametersContract:
             for simulation, own in ((copies, command), (alike, command), (apart, command[1:2])):
                 simulation.step(own)
             assert_same(copies.get_snapshot(), alike.get_snapshot(), copies=[0, 2])
+            mine, alone = row_of(copies.get_snapshot(), 1), apart.get_snapshot()
+            near = 1e-9 + 10 * rounding(engine)
+            np.testing.assert_allclose(mine.position, alone.position, rtol=0, atol=near)
+            # Within one step a rounded length of 2 m moves a slider by up to 1 mm/s.
+            near = 1e-9 + 300 * rounding(engine)
+            np.testing.assert_allclose(mine.velocity, alone.velocity, rtol=0, atol=near)
+        found, near = copies.dynamics([1]), 10 * rounding(engine)
+        if near:
             mine = row_of(copies.get_snapshot(), 1)
-            assert_same(mine, apart.get_snapshot(), atol=1e-9)
-        found = copies.dynamics([1])
-        assert_same(found, apart.dynamics(), rtol=1e-11, atol=1e-9)
+            apart.set_snapshot(dataclasses.replace(mine, robot=other.fingerprint))
+        assert_same(found, apart.dynamics(), rtol=1e-11 + near, atol=1e-9 + near)
         changed = np.abs(copies.get_snapshot().position[1] - alike.get_snapshot().position[1])
         assert changed.max() > 1e-7
         if "mass" in name or "inertia" in name:
@@ -108,7 +116,7 @@ class ParametersContract:
     ) -> None:
         """If a cable is longer by d, its slider at -d is where the slider of a robot rests whose
         offset is larger by d."""
-        stretch = 0.004
+        stretch, near = 0.004, rounding(engine)
         data = paper.model_dump()
         for segment in data["segments"]:
             segment["servo"]["offset"] += stretch
@@ -122,9 +130,14 @@ class ParametersContract:
             stretched.step(command - stretch)
             rested.step(command)
             one, other = stretched.state(), rested.state()
-            np.testing.assert_allclose(one.tip_position, other.tip_position, atol=1e-8)
-            np.testing.assert_allclose(one.cable_travel, other.cable_travel - stretch, atol=1e-8)
-            np.testing.assert_allclose(one.cable_tension, other.cable_tension, rtol=1e-5, atol=1e-5)
+            np.testing.assert_allclose(one.tip_position, other.tip_position, atol=1e-8 + near)
+            np.testing.assert_allclose(
+                one.cable_travel, other.cable_travel - stretch, atol=1e-8 + near
+            )
+            # A rounded length changes a tension by some hundredths of a newton.
+            np.testing.assert_allclose(
+                one.cable_tension, other.cable_tension, rtol=1e-5, atol=1e-5 + 2e4 * near
+            )
         assert np.linalg.norm(rested.state().tip_position[0, :2]) > 0.01
 
     def test_a_longer_cable_pulls_late_and_a_shorter_one_at_once(
@@ -134,9 +147,9 @@ class ParametersContract:
         simulation.set_parameters(None, Parameters(rest_length_offset=[0.01, -0.01]))
         simulation.reset([0])
         simulation.reset([1])
-        np.testing.assert_array_equal(
-            simulation.state().cable_travel, np.repeat([[0.0], [0.01]], paper.num_cables, 1)
-        )
+        expected = np.repeat([[0.0], [0.01]], paper.num_cables, 1)
+        found = simulation.state().cable_travel
+        np.testing.assert_allclose(found, expected, rtol=0, atol=rounding(engine))
         simulation.step(np.zeros((2, paper.num_cables)), 40)
         long, short = simulation.state().cable_travel
         np.testing.assert_allclose(long, 0.0, atol=1e-6)
@@ -170,7 +183,7 @@ class ParametersContract:
             expected, found = reference.dynamics(), tested.dynamics()
             for name in (field.name for field in dataclasses.fields(expected)):
                 value = getattr(expected, name)
-                atol = 1e-10 * max(1, np.abs(value).max())
+                atol = (1e-10 + rounding(engine)) * max(1, np.abs(value).max())
                 np.testing.assert_allclose(
                     getattr(found, name), value, rtol=0, atol=atol, err_msg=name
                 )

@@ -11,7 +11,12 @@ from mujoco import batch
 from numpy.typing import NDArray
 
 from backends.mujoco.active_cables import CURRENT, Cables, Limits, base_size, stepping_spec
-from backends.mujoco.copies import dense_tendon_jacobian, load_force, write_plant
+from backends.mujoco.copies import (
+    dense_tendon_jacobian,
+    load_force,
+    turn_base,
+    write_plant,
+)
 from cdcsr.errors import CdcsrError
 from cdcsr.robot.colors import TARGET, TARGET_RADIUS
 from cdcsr.robot.description import Robot
@@ -278,19 +283,8 @@ class BatchSimulation(Simulation):
             cables[i, :, moved], length[i] = rows, data.ten_length[:num_cables]
             if self.loads.active:
                 passive[i, moved] += load_force(model, data, self.loads, int(copy))
-        if not self._v:
-            return Dynamics(mass, bias, passive, tip, cables, velocity, length)
-        # MuJoCo's base angular velocity is in the base frame: v_body = R^T v_world. The rate of R^T
-        # has no part in the bias, because the rotation of a body leaves its angular velocity
-        # unchanged.
-        turn = rotation_matrix(self._qpos[ids, 3:7])
-        velocity[:, 3:6] = np.einsum("nij,nj->ni", turn, velocity[:, 3:6])
-        bias[:, 3:6] = np.einsum("nij,nj->ni", turn, bias[:, 3:6])
-        passive[:, 3:6] = np.einsum("nij,nj->ni", turn, passive[:, 3:6])
-        mass[:, 3:6, :] = turn @ mass[:, 3:6, :]
-        mass[:, :, 3:6] = mass[:, :, 3:6] @ turn.swapaxes(1, 2)
-        tip[:, :, 3:6] = tip[:, :, 3:6] @ turn.swapaxes(1, 2)
-        return Dynamics(mass, bias, passive, tip, cables, velocity, length)
+        found = Dynamics(mass, bias, passive, tip, cables, velocity, length)
+        return turn_base(found, self._qpos[ids, 3:7]) if self._v else found
 
     def _render(self, index: int, camera: str, targets: Array) -> NDArray[np.uint8]:
         azimuth, elevation = camera_angles(camera)

@@ -12,13 +12,19 @@ from cdcsr.robot.description import Robot
 from cdcsr.simulation.plant import Plant
 
 Capability = Literal[
-    "render", "bit_exact", "soft_cables", "elastic_cables", "servo_kinds", "guide_friction"
+    "render",
+    "bit_exact",
+    "single_precision",
+    "soft_cables",
+    "elastic_cables",
+    "servo_kinds",
+    "guide_friction",
 ]
 """An ability that only some engines have. render: it has its own camera. bit_exact: the same
-commands give the same bits, also after a snapshot. soft_cables: cables under tension are longer
-than at rest, by millimetres. elastic_cables: cables can be springs, by their axial stiffness.
-servo_kinds: servos can be of any kind, with a force limit and a pretension. guide_friction: cables
-rub in their guides."""
+commands give the same bits, also after a snapshot. single_precision: it computes with seven digits.
+soft_cables: cables under tension are longer than at rest, by millimetres. elastic_cables: cables
+can be springs, by their axial stiffness. servo_kinds: servos can be of any kind, with a force limit
+and a pretension. guide_friction: cables rub in their guides."""
 
 
 def check_abilities(

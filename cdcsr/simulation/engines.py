@@ -13,7 +13,7 @@ import sys
 import warnings
 from collections.abc import Callable
 from functools import cache
-from importlib.metadata import EntryPoint, entry_points
+from importlib.metadata import EntryPoint, PackageNotFoundError, distribution, entry_points
 
 from pydantic import ValidationError
 
@@ -31,20 +31,46 @@ from cdcsr.simulation.mixed import mixed_engine
 from cdcsr.simulation.plant import Parameters
 
 _GROUP = "cdcsr.backends"
+_EXTRA = re.compile(r"([\w.-]+)[^;]*;.*\bextra == [\"'](.+?)[\"']")
+"""A requirement of an extra, in a package's metadata: the package, and the extra."""
 _FORMER = {"pybullet-former": "PyBullet (former kernel)"}
 """Titles of engines that are gone; stored results still name them. In this one the project's own
 kernel found the accelerations, and Bullet was given the forces that reproduce them."""
 
 
 @cache
-def _installed(path: tuple[str, ...]) -> dict[str, EntryPoint]:  # noqa: ARG001 (the cache's key)
+def _declared(path: tuple[str, ...]) -> dict[str, EntryPoint]:  # noqa: ARG001 (the cache's key)
     """Find the engines by name in the packages on Python's `path`; a search takes 10 ms."""
     return {point.name: point for point in entry_points(group=_GROUP)}
 
 
+@cache
+def _installed(path: tuple[str, ...]) -> frozenset[str]:
+    """Return the names of the declared engines but those of extras that are not installed."""
+    return frozenset(name for name, point in _declared(path).items() if _complete(point))
+
+
+def _complete(point: EntryPoint) -> bool:
+    """Return whether the packages are there that an engine's entry point asks for by an extra, as
+    in `name = module:class [extra]`."""
+    lines = (point.dist.requires or []) if point.extras and point.dist else []
+    asked = [found for line in lines if (found := _EXTRA.match(line)) and found[2] in point.extras]
+    try:
+        return all(distribution(found[1]) for found in asked)
+    except PackageNotFoundError:
+        return False
+
+
 def backend_names() -> list[str]:
-    """Return the names of the installed engines."""
+    """Return the names of the installed engines; an engine of an extra is one if its packages are
+    there."""
     return sorted(_installed(tuple(sys.path)))
+
+
+def optional_engines() -> list[str]:
+    """Return the names of the engines whose extra is not installed."""
+    path = tuple(sys.path)
+    return sorted(_declared(path).keys() - _installed(path))
 
 
 def principal_engines() -> list[str]:
@@ -98,7 +124,7 @@ def engine_title(name: str) -> str:
     if len(parts := _parts(name)) > 1:
         return " and ".join(map(engine_title, parts))
     bare, _, options = name.partition(":")
-    if bare not in backend_names():
+    if bare not in _declared(tuple(sys.path)):
         return _FORMER.get(name, name)
     try:
         title = load_backend(name).title
@@ -125,7 +151,7 @@ def chosen_backends(name: str, robot: Robot) -> list[str]:
             "Choose one engine, or all."
         )
     bare = name.partition(":")[0]
-    if bare not in [*installed, "all"]:
+    if bare not in [*installed, *optional_engines(), "all"]:
         raise CdcsrError(unknown_choice("backend", bare, [*installed, "all"]))
     if name == "all":
         return _able(working_engines(), robot)
@@ -208,9 +234,9 @@ def _warned(robot: Robot, steps: int) -> Robot:
 def _backend_with_options(text: str) -> tuple[type[Simulation], EngineOptions]:
     """Return the class and the options that are meant by `name` or `name:key=value,key=value`."""
     name, colon, listed = text.partition(":")
-    points = _installed(tuple(sys.path))
+    points = _declared(tuple(sys.path))
     if name not in points:
-        raise CdcsrError(unknown_choice("backend", name, list(points)))
+        raise CdcsrError(unknown_choice("backend", name, backend_names()))
     try:
         backend: type[Simulation] = points[name].load()
     except ModuleNotFoundError as error:

@@ -96,7 +96,12 @@ def _engines() -> Iterator[Finding]:
     import numpy as np
 
     from cdcsr.robot.description import load_robot
-    from cdcsr.simulation.engines import backend_names, load_backend, make_simulation
+    from cdcsr.simulation.engines import (
+        backend_names,
+        load_backend,
+        make_simulation,
+        optional_engines,
+    )
 
     robot = load_robot("planar-single")
     if not backend_names():
@@ -112,6 +117,8 @@ def _engines() -> Iterator[Finding]:
         except Exception as error:  # an engine from elsewhere may raise anything
             remedy = "Install again the package that brings this engine."
             yield Finding("engines", name, f"makes no step: {_reason(error)}", remedy)
+    for name in optional_engines():  # whoever wants one installs it; its absence is no problem
+        yield Finding("engines", name, "not installed; it is an extra: pip install 'cdcsr[gpu]'")
 
 
 def _rendering() -> Iterator[Finding]:
@@ -187,7 +194,7 @@ def _caches() -> Iterator[Finding]:
 
 
 def _machine() -> Iterator[Finding]:
-    """Look at memory, at the disk under the current folder, and at the GPU, which is not used."""
+    """Look at memory, at the disk under the current folder, and at the GPU."""
     import shutil
 
     import torch
@@ -200,8 +207,10 @@ def _machine() -> Iterator[Finding]:
     disk = shutil.disk_usage(Path.cwd()).free
     remedy = "Make room, or work in a folder of another disk." if disk < _LEAST_DISK else ""
     yield Finding("machine", "disk", f"{disk / 1e9:.1f} GB free under {Path.cwd()}", remedy)
-    gpu = torch.cuda.get_device_name() if torch.cuda.is_available() else "none"
-    yield Finding("machine", "GPU", f"{gpu}; no command needs one")
+    gpu = "none; no command needs one"
+    if torch.cuda.is_available():
+        gpu = f"{torch.cuda.get_device_name()}; the engine warp can use it"
+    yield Finding("machine", "GPU", gpu)
 
 
 def _reason(error: Exception) -> str:

@@ -237,6 +237,7 @@ class MjSpec:
     bodies: list[MjsBody]
     geoms: list[MjsGeom]
     joints: list[MjsJoint]
+    lights: list[MjsLight]
     sensors: list[MjsSensor]
     sites: list[MjsSite]
     tendons: list[MjsTendon]
@@ -328,7 +329,14 @@ class _Camera:
     xmat: _Floats
 
 class MjModel:
+    nq: int
     nv: int
+    neq: int
+    qpos0: _Floats
+    M_rownnz: _Ints
+    M_colind: _Ints
+    site_bodyid: _Ints
+    body_rootid: _Ints
     ncam: int
     nmesh: int
     ntex: int

@@ -45,7 +45,7 @@ class _Optional(MujocoSimulation):
 
 
 class _Point:
-    name = "optional"
+    name, extras = "optional", ()
 
     def load(self) -> type[_Optional]:
         return _Optional

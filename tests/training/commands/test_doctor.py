@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 from cdcsr.cli import run
-from cdcsr.simulation.engines import backend_names
+from cdcsr.simulation.engines import backend_names, optional_engines
 from tests.support.paths import read_only_install
 from training.commands import doctor as room
 from training.commands.doctor import Finding, doctor
@@ -22,7 +22,8 @@ def test_nothing_here_is_a_problem_but_perhaps_opengl(tmp_path: Path) -> None:
     told = json.loads(file.read_text())
     findings = [Finding(**each) for each in told["findings"]]
     assert code == (told["problems"] > 0)
-    assert {each.name for each in findings if each.part == "engines"} == set(backend_names())
+    engines = {*backend_names(), *optional_engines()}
+    assert {each.name for each in findings if each.part == "engines"} == engines
     assert {"processors", "compiled code", "memory", "disk", "GPU"} <= {f.name for f in findings}
     assert {each.name for each in findings if each.remedy} <= {"OpenGL (MuJoCo)"}
 

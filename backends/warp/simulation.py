@@ -1,0 +1,347 @@
+"""The engine `warp`: copies on a GPU, for which NumPy arrays come and go, or torch tensors stay."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from typing import Any, NamedTuple
+
+import mujoco_warp  # pyright: ignore[reportMissingImports] - it is an extra
+import numpy as np
+import torch
+import warp as wp  # pyright: ignore[reportMissingImports] - it is an extra
+from numpy.typing import NDArray
+from pydantic import Field
+
+from backends.mujoco.active_cables import base_size
+from backends.mujoco.simulation import MujocoSimulation
+from backends.warp.device import Copies, choose_device
+from backends.warp.equation import equation_of_motion
+from cdcsr.errors import CdcsrError
+from cdcsr.robot.description import Robot
+from cdcsr.robot.stability import highest_speeds, too_fast
+from cdcsr.simulation.contract import (
+    Array,
+    Dynamics,
+    EngineOptions,
+    Physics,
+    Simulation,
+    Snapshot,
+    State,
+)
+from cdcsr.simulation.plant import Plant
+from cdcsr.simulation.rotations import rotation_matrix
+from cdcsr.simulation.turns import taking_turns
+
+
+class WarpOptions(EngineOptions):
+    """The options of `warp`."""
+
+    device: str = Field("auto", pattern=r"^(auto|cpu|cuda(:\d+)?)$")
+    """Where the copies are: cuda, cuda:1 for another GPU, cpu; auto takes a GPU if there is one."""
+
+
+class DeviceState(NamedTuple):
+    """The state of all copies as tensors on the device, in single precision.
+
+    The numbers are those of :class:`cdcsr.simulation.contract.State`, in the same units and frames.
+    The tensors are the engine's own memory: read them only. They change with every step and reset;
+    clone what is to last.
+    """
+
+    time: torch.Tensor
+    """Shape (num,), in [s], in double precision."""
+    tip_position: torch.Tensor
+    """Shape (num, 3), in [m]."""
+    tip_velocity: torch.Tensor
+    """Shape (num, 3), in [m/s]."""
+    base_position: torch.Tensor
+    """Shape (num, 3), in [m]."""
+    base_quaternion: torch.Tensor
+    """w-x-y-z, unit length to rounding, shape (num, 4)."""
+    base_velocity: torch.Tensor
+    """Shape (num, 3), in [m/s]."""
+    base_angular_velocity: torch.Tensor
+    """In the world frame, shape (num, 3), in [rad/s]."""
+    cable_travel: torch.Tensor
+    """Shape (num, C), in [m]; negative is pulled."""
+    cable_tension: torch.Tensor
+    """The tension in the last step, shape (num, C), in [N]."""
+    joint_angles: torch.Tensor
+    """Shape (num, H), in [rad]."""
+    joint_rates: torch.Tensor
+    """Shape (num, H), in [rad/s]."""
+    diverged: torch.Tensor
+    """Whether a copy has diverged since its last reset, shape (num,), bool. Such a copy stands at
+    the start; its numbers mean nothing until it is reset."""
+
+
+@taking_turns
+class WarpSimulation(Simulation):
+    """`num` copies of a robot in MuJoCo Warp, in single precision.
+
+    :meth:`device_state`, :meth:`step_device` and :meth:`reset_device` are for those who stay on the
+    device; they copy nothing to the host and do not wait for the device.
+
+    Raises:
+        CdcsrError: there is no such device.
+    """
+
+    engine = "warp"
+    title = "MuJoCo Warp"
+    version = mujoco_warp.__version__
+    capabilities = frozenset({"render", "single_precision", "elastic_cables", "servo_kinds"})
+    options_type = WarpOptions
+    physics = Physics(
+        joint_dynamics="MuJoCo Warp's",
+        integration="MuJoCo Warp's Euler, semi-implicit",
+        cables="ours: limits of tendons that are aimed at the rest length in each step",
+        limits="MuJoCo Warp's, with the softness of the description",
+        servos="MuJoCo Warp's position actuators",
+        damping="ours: MuJoCo Warp's, made implicit in the mass matrix of each step",
+    )
+    copy_memory = 0.1e6
+
+    def __init__(self, robot: Robot, num: int = 1, options: EngineOptions | None = None) -> None:
+        super().__init__(robot, num, options)
+        assert isinstance(self.options, WarpOptions)
+        self._copies = Copies(robot, num, choose_device(self.options.device))
+        self._q, self._v = base_size(robot)
+        self._drawer: MujocoSimulation | None = None
+        every = np.arange(num)
+        if self.plant.cable_compliance.any():
+            self._set_plant(every, self.plant)
+        self._reset(every)
+
+    # --- on the device ----------------------------------------------------------------------------
+
+    def device_state(self) -> DeviceState:
+        """Return the state of all copies on the device; nothing is copied."""
+        self._check_open()
+        copies, cables = self._copies, self.robot.num_cables
+        qpos, qvel = wp.to_torch(copies.data.qpos), wp.to_torch(copies.data.qvel)
+        position, quaternion = qpos[:, :3], qpos[:, 3:7]
+        velocity = qvel[:, :3]
+        if not self._v:
+            base = self.robot.base
+            position, quaternion, velocity = (
+                torch.tensor(part, dtype=qpos.dtype, device=qpos.device).expand(self.num, -1)
+                for part in (base.position, base.quaternion, (0.0, 0.0, 0.0))
+            )
+        return DeviceState(
+            time=wp.to_torch(copies.time),
+            tip_position=wp.to_torch(copies.tip),
+            tip_velocity=wp.to_torch(copies.tip_velocity),
+            base_position=position,
+            base_quaternion=quaternion,
+            base_velocity=velocity,
+            base_angular_velocity=wp.to_torch(copies.base_turning),
+            cable_travel=qpos[:, self._q : self._q + cables],
+            cable_tension=wp.to_torch(copies.tension),
+            joint_angles=qpos[:, self._q + cables :],
+            joint_rates=qvel[:, self._v + cables :],
+            diverged=wp.to_torch(copies.diverged),
+        )
+
+    def step_device(self, command: torch.Tensor, substeps: int = 1) -> None:
+        """Advance all copies under commands on the device; read `diverged` to see which are lost.
+
+        Args:
+            command: as in `step`, shape (num, C), on this device, in [m]. Its numbers are not
+                checked.
+            substeps: how many time steps.
+
+        Raises:
+            CdcsrError: the command has another shape or is on another device; or commands are
+                delayed, which only `step` can do.
+        """
+        self._check_open()
+        if not self._line.idle:
+            raise CdcsrError("step_device delays no commands; use step, or set no command_delay.")
+        ctrl = wp.to_torch(self._copies.data.ctrl)
+        self._check_tensor("The command", command, ctrl)
+        ctrl.copy_(command)
+        with self._in_torch_order():
+            for _ in range(substeps):
+                self._copies.step()
+
+    def reset_device(self, mask: torch.Tensor) -> None:
+        """Put copies to the start, as `reset` does.
+
+        Args:
+            mask: which copies, shape (num,), bool, on this device.
+
+        Raises:
+            CdcsrError: the mask has another shape or is on another device.
+        """
+        self._check_open()
+        chosen = wp.to_torch(self._copies.chosen)
+        self._check_tensor("The mask", mask, chosen)
+        chosen.copy_(mask)
+        with self._in_torch_order():
+            self._copies.restart()
+
+    def _check_tensor(self, name: str, found: torch.Tensor, like: torch.Tensor) -> None:
+        if found.shape != like.shape or found.device != like.device:
+            raise CdcsrError(
+                f"{name} must have the shape {tuple(like.shape)} and be on {like.device}; found "
+                f"{tuple(found.shape)} on {found.device}."
+            )
+
+    @contextmanager
+    def _in_torch_order(self) -> Iterator[None]:
+        """Let Warp work after what torch was given before, and torch go on after that.
+
+        On a GPU both only hand their work over, each to a stream of its own.
+        """
+        with self._copies.active():
+            if not self._copies.device.is_cuda:
+                yield
+                return
+            ours = wp.get_stream()
+            theirs = wp.stream_from_torch(torch.cuda.current_stream(self._copies.device.ordinal))
+            ours.wait_stream(theirs)
+            yield
+            theirs.wait_stream(ours)
+
+    # --- the contract -----------------------------------------------------------------------------
+
+    def _set_plant(self, ids: NDArray[np.int64], plant: Plant) -> None:
+        with self._copies.active():
+            self._copies.set_plant(ids, plant)
+            self._copies.forward()
+
+    def _set_loads(self) -> None:
+        with self._copies.active():
+            self._copies.set_loads(self.loads)
+
+    def _reset(self, ids: NDArray[np.int64]) -> None:
+        mask = np.zeros(self.num, dtype=bool)
+        mask[ids] = True
+        with self._copies.active():
+            self._copies.chosen.assign(mask)
+            self._copies.restart()
+
+    def _place(self, ids: NDArray[np.int64], position: Array, velocity: Array) -> None:
+        own = velocity[:, 6 - self._v :].copy()
+        if self._v:
+            to_body = rotation_matrix(position[:, 3:7]).swapaxes(1, 2)
+            own[:, 3:6] = np.einsum("nij,nj->ni", to_body, velocity[:, 3:6])
+        parts = (position[:, 7 - self._q :], own, 0.0, 0.0, 0.0)
+        with self._copies.active():
+            self._write(ids, parts)
+            self._copies.forward()
+
+    def _write(self, ids: NDArray[np.int64], parts: tuple[Array | float, ...]) -> None:
+        """Write position, velocity, the solver's first guess, tension and time of copies `ids`."""
+        copies = self._copies
+        data = copies.data
+        arrays = data.qpos, data.qvel, data.qacc_warmstart, copies.tension, copies.time
+        for array, rows in zip((*arrays, copies.diverged), (*parts, False), strict=True):
+            numbers = array.numpy()
+            numbers[ids] = rows
+            array.assign(numbers)
+
+    def _step(self, command: Array, substeps: int) -> None:
+        copies = self._copies
+        with copies.active():
+            copies.data.ctrl.assign(command.astype(np.float32))
+            for _ in range(substeps):
+                copies.step()
+            lost = np.flatnonzero(copies.diverged.numpy()).tolist()
+            if lost:
+                first, velocity = lost[0], np.zeros(self.robot.num_coordinates)
+                culprit = 6 - self._v + int(copies.culprit.numpy()[first])
+                velocity[culprit] = copies.speed.numpy()[first]
+                time = float(copies.time.numpy()[first])
+                what = too_fast(velocity, highest_speeds(self.robot))
+                raise self._diverged(lost, time, what)
+
+    def _state(self) -> State:
+        cables, copies = self.robot.num_cables, self._copies
+        with copies.active():
+            qpos, qvel = self._whole_position(), self._whole_velocity()
+            return State(
+                time=_doubles(copies.time),
+                tip_position=_doubles(copies.tip),
+                tip_velocity=_doubles(copies.tip_velocity),
+                base_position=qpos[:, 0:3],
+                base_quaternion=qpos[:, 3:7],
+                base_velocity=qvel[:, 0:3],
+                base_angular_velocity=qvel[:, 3:6],
+                cable_travel=qpos[:, 7 : 7 + cables],
+                cable_tension=_doubles(copies.tension),
+                joint_angles=qpos[:, 7 + cables :],
+                joint_rates=qvel[:, 6 + cables :],
+            )
+
+    def _whole_position(self) -> Array:
+        """Return the positions of all copies with those of the base, shape (num, 7 + C + H)."""
+        qpos = _doubles(self._copies.data.qpos)
+        if self._q:
+            qpos[:, 3:7] /= np.linalg.norm(qpos[:, 3:7], axis=1, keepdims=True)
+            return qpos
+        base = self.robot.base
+        fixed = np.tile([*base.position, *base.quaternion], (self.num, 1))
+        return np.concatenate([fixed, qpos], axis=1)
+
+    def _whole_velocity(self) -> Array:
+        """Return the velocities of all copies in the contract's order, shape (num, nv)."""
+        qvel = _doubles(self._copies.data.qvel)
+        if not self._v:
+            return np.concatenate([np.zeros((self.num, 6)), qvel], axis=1)
+        qvel[:, 3:6] = _doubles(self._copies.base_turning)
+        return qvel
+
+    def _get_snapshot(self) -> Snapshot:
+        copies = self._copies
+        data = copies.data
+        with copies.active():
+            parts = data.qpos, data.qvel, data.qacc_warmstart, copies.tension
+            return Snapshot(
+                self.engine,
+                self.robot.fingerprint,
+                _doubles(copies.time),
+                self._whole_position(),
+                self._whole_velocity(),
+                np.concatenate([_doubles(part) for part in parts], axis=1),
+            )
+
+    def _set_snapshot(self, snapshot: Snapshot) -> None:
+        every = np.arange(self.num)
+        if snapshot.engine != self.engine:
+            self._place(every, snapshot.position, snapshot.velocity)
+            with self._copies.active():
+                self._copies.time.assign(snapshot.time)
+            return
+        nq, nv = self._copies.host.nq, self._copies.host.nv
+        qpos, qvel, guess, tension = np.split(snapshot.private, [nq, nq + nv, nq + 2 * nv], axis=1)
+        with self._copies.active():
+            self._write(every, (qpos, qvel, guess, tension, snapshot.time))
+            self._copies.forward()
+
+    def _dynamics(self, ids: NDArray[np.int64]) -> Dynamics:
+        with self._copies.active():
+            position = self._whole_position()[ids]
+            found = equation_of_motion(self._copies, self.robot, ids, position[:, 3:7])
+        if self.loads.active:
+            found.passive_force[:] += self.loads.generalized(position, ids)
+        return found
+
+    def _render(self, index: int, camera: str, targets: Array) -> NDArray[np.uint8]:
+        """Draw with MuJoCo."""
+        if self._drawer is None:
+            self._drawer = MujocoSimulation(self.robot)
+        with self._copies.active():
+            position, velocity = self._whole_position(), self._whole_velocity()
+        self._drawer.place(None, position[[index]], velocity[[index]])
+        return self._drawer.render(0, camera, targets[0] if len(targets) else None)
+
+    def _close(self) -> None:
+        if self._drawer is not None:
+            self._drawer.close()
+
+
+def _doubles(array: Any) -> Array:  # Warp has no types
+    """Return an array of Warp's as one of NumPy's, in double precision."""
+    return np.array(array.numpy(), dtype=np.float64)
