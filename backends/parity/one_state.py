@@ -4,6 +4,7 @@ form."""
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from typing import NamedTuple
 
 import numpy as np
 
@@ -13,10 +14,18 @@ from cdcsr.robot.routing import cable_jacobian, cable_lengths, routing
 from cdcsr.robot.ruler import ruler
 from cdcsr.simulation.contract import Array, Dynamics, Snapshot
 
-RELATIVE = 1e-10
-"""The tolerance of matrices and forces."""
-LENGTH = 1e-9
-"""The tolerance of cable lengths for the paper's robot, in [m]; it grows with the arm."""
+
+class Tolerance(NamedTuple):
+    """How far two equations of motion may differ that should be one."""
+
+    relative: float
+    """The tolerance of matrices and forces."""
+    length: float
+    """The tolerance of cable lengths for the paper's robot, in [m]; it grows with the arm."""
+
+
+DOUBLE, SINGLE = Tolerance(1e-10, 1e-9), Tolerance(1e-4, 3e-6)
+"""The tolerances of engines that compute in double and in single precision."""
 _BEND = 0.8
 """The largest hinge angle of a random state, as a part of the hinge's limit."""
 
@@ -49,45 +58,51 @@ def one_state(robot: Robot, engines: Engines, num: int = 16, seed: int = 0) -> l
     with the closed form."""
     states = random_states(robot, num, seed)
     found: dict[str, Dynamics] = {}
+    near: dict[str, Tolerance] = {}
     for name, make in engines.items():
         simulation = make(robot, num)
         simulation.set_snapshot(states)
         found[name] = simulation.dynamics()
+        near[name] = SINGLE if "single_precision" in simulation.capabilities else DOUBLE
         simulation.close()
     reference = reference_of(engines)
     checks = []
     for name, dynamics in found.items():
         if name != reference:
-            checks += list(compare(robot, dynamics, found[reference], f"{name} - {reference}"))
+            tolerance, pair = max(near[name], near[reference]), f"{name} - {reference}"
+            checks += list(compare(robot, dynamics, found[reference], pair, tolerance))
     for name, dynamics in found.items():
-        checks += list(_compare_cables(robot, dynamics, states, f"{name} - closed form"))
+        pair = f"{name} - closed form"
+        checks += list(_compare_cables(robot, dynamics, states, pair, near[name]))
     return checks
 
 
-def compare(robot: Robot, one: Dynamics, other: Dynamics, pair: str) -> Iterator[Check]:
+def compare(
+    robot: Robot, one: Dynamics, other: Dynamics, pair: str, near: Tolerance = DOUBLE
+) -> Iterator[Check]:
     """Compare two equations of motion at the same states, of which `other` is the reference."""
     names = coordinate_names(robot)
     diagonal = np.sqrt(np.diagonal(other.mass_matrix, axis1=1, axis2=2))
     scale = diagonal[:, :, None] * diagonal[:, None, :]
     difference = (one.mass_matrix - other.mass_matrix) / scale
-    yield _worst("mass matrix", pair, difference, RELATIVE, "relative", [names, names])
+    yield _worst("mass matrix", pair, difference, near.relative, "relative", [names, names])
 
     tip, expected = generalized_tip_jacobian(one), generalized_tip_jacobian(other)
     difference, axes = _by_column(tip - expected, expected), [["x", "y", "z"], names[6:]]
-    yield _worst("generalized tip Jacobian", pair, difference, RELATIVE, "relative", axes)
+    yield _worst("generalized tip Jacobian", pair, difference, near.relative, "relative", axes)
 
     for label, ours, theirs in (
         ("bias force", one.bias_force, other.bias_force),
         ("passive force", one.passive_force, other.passive_force),
     ):
         difference = (ours - theirs) / np.abs(theirs).max(axis=1, keepdims=True)
-        yield _worst(label, pair, difference, RELATIVE, "relative", [names])
+        yield _worst(label, pair, difference, near.relative, "relative", [names])
 
     cables = cable_names(robot)
     difference = one.cable_length - other.cable_length
-    yield _worst("cable length", pair, difference, LENGTH * ruler(robot).size, "m", [cables])
+    yield _worst("cable length", pair, difference, near.length * ruler(robot).size, "m", [cables])
     difference = _by_column(one.cable_jacobian - other.cable_jacobian, other.cable_jacobian)
-    yield _worst("cable Jacobian", pair, difference, RELATIVE, "relative", [cables, names])
+    yield _worst("cable Jacobian", pair, difference, near.relative, "relative", [cables, names])
 
 
 def generalized_tip_jacobian(dynamics: Dynamics) -> Array:
@@ -119,17 +134,17 @@ def cable_names(robot: Robot) -> list[str]:
 
 
 def _compare_cables(
-    robot: Robot, dynamics: Dynamics, states: Snapshot, pair: str
+    robot: Robot, dynamics: Dynamics, states: Snapshot, pair: str, near: Tolerance
 ) -> Iterator[Check]:
     route, joints = routing(robot), states.position[:, 7:]
     travel, hinges = joints[:, : robot.num_cables], joints[:, robot.num_cables :]
     names, cables = coordinate_names(robot), cable_names(robot)
     difference = dynamics.cable_length - cable_lengths(route, travel, hinges)
-    yield _worst("cable length", pair, difference, LENGTH * ruler(robot).size, "m", [cables])
+    yield _worst("cable length", pair, difference, near.length * ruler(robot).size, "m", [cables])
     exact = np.zeros_like(dynamics.cable_jacobian)
     exact[:, :, 6:] = cable_jacobian(route, travel, hinges)
     difference = _by_column(dynamics.cable_jacobian - exact, exact)
-    yield _worst("cable Jacobian", pair, difference, RELATIVE, "relative", [cables, names])
+    yield _worst("cable Jacobian", pair, difference, near.relative, "relative", [cables, names])
 
 
 def _by_column(difference: Array, reference: Array) -> Array:

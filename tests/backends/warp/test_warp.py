@@ -5,21 +5,186 @@ Kernels are compiled once for each robot, which takes about a minute; so most te
 
 from __future__ import annotations
 
+import dataclasses
+
+import numpy as np
 import pytest
+import torch
 
 from backends.contract_suite import EngineContract
+from backends.contract_suite.states import (
+    STRETCH,
+    Make,
+    assert_same,
+    commands_of,
+    random_parameters,
+)
+from cdcsr.errors import CdcsrError, Diverged
 from cdcsr.robot.description import Robot, load_robot
+from cdcsr.robot.routing import routing
+from cdcsr.simulation.contract import Array, Simulation, State
+from cdcsr.simulation.engines import make_simulation
+from cdcsr.simulation.plant import Parameters
+from training.measure.trajectories import demonstrator_commands
 
 pytest.importorskip("mujoco_warp", reason="the extra gpu is not installed")
-pytest.importorskip("warp", reason="the extra gpu is not installed")
+from backends.warp.simulation import WarpSimulation
+
+pytestmark = pytest.mark.slow
+WARP = "warp:device=cpu"
+NUM = 4
 
 
-@pytest.mark.slow
 class TestWarp(EngineContract):
-    backend = "warp:device=cpu"
-    copies = 4
+    backend = WARP
+    copies = NUM
 
     @pytest.fixture(params=["paper", "planar-single"])
     def robot(self, request: pytest.FixtureRequest) -> Robot:
         """Return a robot with a free base and one with a fixed base."""
         return load_robot(request.param)
+
+
+def far(one: Simulation, other: Simulation, commands: Array) -> float:
+    """Return the largest distance between the tips of two simulations under the same commands, in
+    [m]."""
+    largest = 0.0
+    for command in commands:
+        one.step(command)
+        other.step(command)
+        apart = one.state().tip_position - other.state().tip_position
+        largest = max(largest, float(np.linalg.norm(apart, axis=1).max()))
+    return largest
+
+
+def warp(robot: Robot) -> WarpSimulation:
+    simulation = make_simulation(robot, WARP, NUM)
+    assert isinstance(simulation, WarpSimulation)
+    return simulation
+
+
+@pytest.mark.parametrize("hold", [1, 5, 20, 50])
+def test_it_moves_as_mujoco_does_under_random_commands(make: Make, paper: Robot, hold: int) -> None:
+    """Within 0.1 mm over an episode, with cables that are no longer than those of `mujoco`."""
+    one, other = make(WARP, paper, NUM), make("mujoco", paper, NUM)
+    assert far(one, other, commands_of(paper, 250, NUM, seed=hold, hold=hold)) < 1e-4
+    assert one.state().cable_tension.max() > 100
+    assert (one.dynamics().cable_length - routing(paper).rest_length).max() < STRETCH
+
+
+def test_it_moves_as_mujoco_does_along_demonstrations(make: Make, paper: Robot) -> None:
+    commands = demonstrator_commands(paper, "mujoco", NUM, seed=0).values.swapaxes(0, 1)
+    one, other = make(WARP, paper, NUM), make("mujoco", paper, NUM)
+    assert far(one, other, commands) < 5e-5
+
+
+@pytest.mark.parametrize("what", ["parameters", "elastic cables", "loads"])
+def test_it_moves_as_mujoco_does_where_copies_differ(make: Make, paper: Robot, what: str) -> None:
+    """And what makes them differ moves the tip much further."""
+    one, other, plain = make(WARP, paper, NUM), make("mujoco", paper, NUM), make(WARP, paper, NUM)
+    for simulation in (one, other):
+        if what == "parameters":
+            simulation.set_parameters([0, 2], random_parameters(paper, 2))
+            simulation.reset()
+        elif what == "elastic cables":
+            simulation.set_parameters([0, 2], Parameters(cable_strain=1e-4))
+        else:
+            simulation.set_loads([0, 2], 5, force=(5, 0, 2), point=(0.03, 0, 0.1))
+            simulation.set_loads([0, 2], -1, torque=(0, 1, 0.3), slot=1)
+    commands = commands_of(paper, 100, NUM, hold=10)
+    assert far(one, other, commands) < 1e-4
+    for command in commands:
+        plain.step(command)
+    moved = np.linalg.norm(one.state().tip_position - plain.state().tip_position, axis=1)
+    assert moved[[0, 2]].min() > 1e-3
+    assert moved[[1, 3]].max() < 1e-4
+
+
+def test_tensors_on_the_device_are_the_numbers_of_the_contract(paper: Robot) -> None:
+    one, other = warp(paper), warp(paper)
+    seen = one.device_state()
+    for command in commands_of(paper, 20, NUM, hold=5):
+        one.step_device(torch.tensor(command, dtype=torch.float32))
+        other.step(command)
+    expected = other.state()
+    for field in dataclasses.fields(State):
+        tensor = getattr(seen, field.name)  # taken before the steps: it is the engine's own memory
+        np.testing.assert_allclose(
+            tensor.numpy(), getattr(expected, field.name), rtol=0, atol=1e-6, err_msg=field.name
+        )
+    assert seen.cable_tension.max() > 1
+    mask = torch.tensor([True, False, False, True])
+    one.reset_device(mask)
+    other.reset([0, 3])
+    assert_same(one.state(), other.state())
+    assert seen.time.tolist() == [0.0, *other.state().time[1:3], 0.0]
+
+
+def test_a_fixed_base_stands_still_on_the_device() -> None:
+    planar = load_robot("planar-single")
+    one = warp(planar)
+    seen = one.device_state()
+    assert seen.base_position.shape == (NUM, 3)
+    np.testing.assert_allclose(seen.base_position, one.state().base_position, atol=1e-7)
+    assert not seen.base_velocity.any()
+    assert seen.joint_angles.shape == (NUM, planar.num_hinges)
+
+
+def test_a_copy_that_diverges_is_told_and_does_no_harm(paper: Robot) -> None:
+    one, other = warp(paper), warp(paper)
+    commands = commands_of(paper, 12, NUM, hold=5)
+    for simulation in (one, other):
+        for command in commands[:5]:
+            simulation.step(command)
+        start = simulation.get_snapshot()
+        simulation.set_snapshot(dataclasses.replace(start, engine="by hand"))
+    broken = one.get_snapshot()
+    broken.velocity[2, -1] = 1e6
+    one.set_snapshot(dataclasses.replace(broken, engine="by hand"))
+    seen = one.device_state()
+    for command in commands[5:10]:
+        one.step_device(torch.tensor(command, dtype=torch.float32))
+        other.step(command)
+    assert seen.diverged.tolist() == [False, False, True, False]
+    assert all(torch.isfinite(tensor).all() for tensor in seen)
+    assert_same(one.state(), other.state(), copies=[0, 1, 3])
+    for _ in range(2):  # until it is reset
+        with pytest.raises(Diverged, match=r"copy 2 diverged at t = .*coordinate 37 moves at 1"):
+            one.step(commands[10])
+        other.step(commands[10])
+    one.reset([2])
+    one.step(commands[11])
+    other.step(commands[11])
+    assert_same(one.state(), other.state(), copies=[0, 1, 3])
+
+
+def test_a_snapshot_continues_to_the_bit(paper: Robot) -> None:
+    one, other = warp(paper), warp(paper)
+    commands = commands_of(paper, 40, NUM, hold=5)
+    for command in commands[:20]:
+        one.step(command)
+    other.step(commands[7])
+    other.set_snapshot(one.get_snapshot())
+    for command in commands[20:]:
+        one.step(command)
+        other.step(command)
+    assert_same(one.state(), other.state())
+    np.testing.assert_array_equal(one.get_snapshot().private, other.get_snapshot().private)
+
+
+def test_what_the_device_cannot_do_is_refused(paper: Robot) -> None:
+    one, command = warp(paper), torch.zeros(NUM, paper.num_cables)
+    with pytest.raises(CdcsrError, match=r"command must have the shape \(4, 8\) and be on cpu"):
+        one.step_device(command[:2])
+    with pytest.raises(CdcsrError, match=r"mask must have the shape \(4,\) and be on cpu"):
+        one.reset_device(torch.zeros(NUM, 1, dtype=torch.bool))
+    one.set_parameters([1], Parameters(command_delay=2))
+    with pytest.raises(CdcsrError, match="step_device delays no commands"):
+        one.step_device(command)
+    with pytest.raises(CdcsrError, match=r"option device: .*found 'gpu'"):
+        make_simulation(paper, "warp:device=gpu")
+    if not torch.cuda.is_available():
+        with pytest.raises(CdcsrError, match="Warp finds no device cuda:7 here; there is cpu"):
+            make_simulation(paper, "warp:device=cuda:7")
+    with pytest.raises(CdcsrError, match="warp has no friction in guides"):
+        one.set_parameters(None, Parameters(guide_friction=0.1))
