@@ -17,9 +17,9 @@ from contextlib import contextmanager
 from typing import Any
 
 import mujoco
-import mujoco_warp as mjw  # pyright: ignore[reportMissingImports] - it is an extra
+import mujoco_warp as mjw
 import numpy as np
-import warp as wp  # pyright: ignore[reportMissingImports] - it is an extra
+import warp as wp
 from numpy.typing import NDArray
 
 from backends.mujoco.active_cables import base_size, stepping_spec

@@ -6,7 +6,7 @@ number of its cable or joint. The order of the rows may change in each step.
 
 # Warp reads the types of arguments itself, so here they must not become text.
 import mujoco
-import warp as wp  # pyright: ignore[reportMissingImports] - it is an extra
+import warp as wp
 
 _CABLE = wp.constant(int(mujoco.mjtConstraint.mjCNSTR_LIMIT_TENDON))
 _EXCESS = wp.constant(5e-5)

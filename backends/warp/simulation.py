@@ -6,10 +6,10 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import Any, NamedTuple
 
-import mujoco_warp  # pyright: ignore[reportMissingImports] - it is an extra
+import mujoco_warp
 import numpy as np
 import torch
-import warp as wp  # pyright: ignore[reportMissingImports] - it is an extra
+import warp as wp
 from numpy.typing import NDArray
 from pydantic import Field
 
