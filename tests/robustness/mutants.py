@@ -168,7 +168,7 @@ class Copy:
 
     def __init__(self, folder: Path, package: str) -> None:
         self._folder, self._package = folder, package
-        skip = shutil.ignore_patterns(".venv", ".git", "__pycache__", "results", ".*_cache")
+        skip = shutil.ignore_patterns(".venv", ".git", "__pycache__", ".*_cache")
         shutil.copytree(ROOT, folder, ignore=skip, symlinks=True)
         compileall.compile_dir(folder, quiet=1, invalidation_mode=PycInvalidationMode.CHECKED_HASH)
         tests = shlex.split(PACKAGES[package])
