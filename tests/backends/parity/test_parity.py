@@ -92,6 +92,7 @@ def test_random_states_are_turned_and_moving_and_some_cables_are_slack(paper: Ro
     states, route = random_states(paper, 32, seed=0), routing(paper)
     np.testing.assert_allclose(np.linalg.norm(states.position[:, 3:7], axis=1), 1)
     assert np.abs(states.position[:, 4:7]).min(axis=0).max() > 0
+    assert (np.ptp(states.velocity, axis=0) > 1.2).all()  # in both directions
     travel, hinges = states.position[:, 7:15], states.position[:, 15:]
     assert 0.5 < np.abs(hinges).max() <= 0.8 * 1.5
     slack = (cable_lengths(route, travel, hinges) < route.rest_length).mean()
@@ -188,6 +189,7 @@ def test_order_and_limits_of_motions_made_by_hand() -> None:
     assert (loop.order("first"), loop.order("second")) == (pytest.approx(1), pytest.approx(1))
     np.testing.assert_allclose(loop.mean_distance("second"), [14e-3, 6e-3, 2e-3])
     assert loop.limit_distance("second") == pytest.approx(2e-3)
+    assert {check.level for check in loop.checks()} == {3}
     found = {check.name: check for check in loop.checks()}
     assert found["mean tip distance"].passed
     assert found["limits apart"].value == pytest.approx(2 / 12)

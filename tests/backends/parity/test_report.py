@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import io
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import AbstractContextManager, contextmanager, nullcontext
 from dataclasses import replace
 from pathlib import Path
 
@@ -204,3 +204,30 @@ def test_the_figures_hold_the_measured_numbers(
     np.testing.assert_allclose(data_of(tolerance)[1], 4.0)  # 2e-3 of 2 m, in [mm]
     assert len(random.lines) == len(demonstrated.lines) - 1
     assert all(len(figure.legends) == 1 for figure in figures.values())
+
+
+def test_each_of_many_engines_has_marks_and_a_colour_of_its_own(
+    parity: Parity, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    """There are five marks and eight colours; engine after engine begins anew with them."""
+    one, names = parity.open_loop[0], "abcdefg"
+    tips = {name: (k + 1) * one.tips["b"] for k, name in enumerate(names)}
+    figures: list[Figure] = []
+
+    def kept(*_: object) -> AbstractContextManager[Figure]:
+        figures.append(Figure())
+        return nullcontext(figures[-1])
+
+    monkeypatch.setattr(plots, "drawn", kept)
+    plots.draw(replace(parity, open_loop=[replace(one, tips=tips)]), tmp_path)
+    (panel,) = figures[1].axes
+    found = {str(line.get_label()): line for line in panel.lines}
+    marks = [found[f"{name} from its limit"].get_marker() for name in names]
+    assert len(set(marks)) == 5
+    assert marks[5:] == marks[:2]
+    assert [found[f"{name} from a"].get_marker() for name in names[1:]] == marks[1:]
+    colors = [found[f"{name} from its limit"].get_color() for name in names]
+    assert len(set(colors)) == len(names)
+    (panel,) = figures[2].axes
+    found = {str(line.get_label()): line for line in panel.lines}
+    assert [found[f"{name} from a"].get_color() for name in names[1:]] == colors[1:]
