@@ -14,7 +14,7 @@ from PIL import Image
 from scipy.optimize import bisect
 
 from backends.cosserat import plots
-from backends.cosserat.reference import Release, read_shapes
+from backends.cosserat.reference import Release, read_release, read_shapes
 from backends.cosserat.releases import Swing
 from backends.cosserat.statics import Fit, fit
 from cdcsr.errors import CdcsrError
@@ -156,6 +156,22 @@ def test_the_figure_holds_errors_by_links_and_a_release(
     figure.clear()
     plots.draw({"tpu": fits}, None, tmp_path / "a.png")
     assert len(figure.axes) == 1
+
+
+def test_a_release_is_read_from_its_places_in_the_file(tmp_path: Path) -> None:
+    """Torque and force at the middle, then at the tip, in the second row; in the files x is along
+    the rod, and the half turn that makes it z turns y round."""
+    table, turn = np.random.default_rng(0).normal(size=(6, 13)), np.array([1.0, -1.0, 1.0])
+    path = tmp_path / "dynamics" / "TPURodMuJoCo_2.txt"
+    path.parent.mkdir()
+    np.savetxt(path, table, delimiter="\t")
+    release = read_release(tmp_path, "tpu", 2)
+    assert release.damping_time == table[0, 0]
+    assert release.interval == pytest.approx(table[3, 0] - table[2, 0])
+    np.testing.assert_allclose(release.gravity, table[0, 12:9:-1] * turn)
+    vectors = table[1, 1:].reshape(4, 3)[:, ::-1] * turn
+    np.testing.assert_allclose(np.ravel(release.wrenches), vectors.ravel())
+    np.testing.assert_allclose(release.tip, table[2:, 12:9:-1] * turn)
 
 
 def test_without_releases_the_rest_is_measured(
