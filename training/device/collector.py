@@ -80,7 +80,8 @@ class DeviceCollector:
         replay: DeviceReplay,
         device: torch.device,
     ) -> None:
-        self._door, self._work, self._module, self._replay = door, work, module, replay
+        self.door, self._work, self._module, self._replay = door, work, module, replay
+        self._state = door.device_state()
         robot, runs, copies = door.robot, len(seeds), learner.num_envs
         self._shape = runs, copies
         self._actions = actions_per_episode(work.task.max_steps, work.frame_skip)
@@ -142,8 +143,8 @@ class DeviceCollector:
         self._actor, self.clone = actor, clone
         device = self.tensors["observation"].device
         self._before, self._after = (Repeated(x, device) for x in (self._act, self._judge))
-        everyone = torch.ones(self._door.num, dtype=torch.bool, device=device)
-        self._door.reset_device(everyone)
+        everyone = torch.ones(self.door.num, dtype=torch.bool, device=device)
+        self.door.reset_device(everyone)
         self._restart(everyone)
         self._look()
 
@@ -155,12 +156,12 @@ class DeviceCollector:
         """Take one action in every copy."""
         self._steps += 1
         self._before()
-        self._door.step_device(self.tensors["command"].flatten(0, 1), self._work.frame_skip)
+        self.door.step_device(self.tensors["command"].flatten(0, 1), self._work.frame_skip)
         # Copies that diverge in this step are seen after it, and those that ended begin anew.
-        lost = self._door.device_state().diverged
+        lost = self._state.diverged
         torch.bitwise_and(lost, ~self._flat("last"), out=self._lost)
         torch.bitwise_or(self._lost, self._flat("last"), out=self._fresh)
-        self._door.reset_device(self._fresh)
+        self.door.reset_device(self._fresh)
         self._after()
 
     @torch.no_grad()
@@ -191,7 +192,7 @@ class DeviceCollector:
     def _judge(self) -> None:
         """See what the actions led to, and begin the episodes of copies that ended before."""
         now, episodes, task = self.tensors, self._episodes, self._work.task
-        state = cast(State, self._door.device_state())
+        state = cast(State, self._state)
         ended, lost = self._flat("last").clone(), self._lost
         episodes.advance(self._work.frame_skip, self._step)
         distance, verdict = (cast(Foreign, x) for x in episodes.judge(state))
@@ -219,7 +220,7 @@ class DeviceCollector:
 
     def _look(self) -> None:
         """Observe the state as it is."""
-        state, targets = cast(State, self._door.device_state()), self._episodes.targets
+        state, targets = cast(State, self._state), self._episodes.targets
         seen = cast(Foreign, observe(state, targets, tip_distance(state, targets)))
         self.tensors["observation"].copy_(seen.view(*self._shape, -1))
 

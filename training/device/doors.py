@@ -39,7 +39,7 @@ class Door(Protocol):
     num: int
 
     def device_state(self) -> DeviceState:
-        """Return the state; it may change with the next step."""
+        """Return the state: always the same tensors, whose numbers change with steps and resets."""
         ...
 
     def step_device(self, command: Tensor, substeps: int = 1) -> None:
@@ -67,11 +67,20 @@ class HostDoor:
         self._simulation, self._device = simulation, device
         self.robot, self.num = simulation.robot, simulation.num
         self._lost = np.zeros(self.num, dtype=np.bool_)
+        parts = {name: self._tensor(rows) for name, rows in self._arrays().items()}
+        self._state = _HostState(**parts)
 
     def device_state(self) -> DeviceState:
+        return cast(DeviceState, self._state)
+
+    def refresh(self) -> None:
+        """Copy the state to the device; steps and resets do so themselves."""
+        for name, rows in self._arrays().items():
+            getattr(self._state, name).copy_(self._tensor(rows))
+
+    def _arrays(self) -> Mapping[str, NDArray[np.generic]]:
         state = self._simulation.state()
-        parts = {f.name: self._tensor(getattr(state, f.name)) for f in fields(State)}
-        return cast(DeviceState, _HostState(**parts, diverged=self._tensor(self._lost)))
+        return {**{f.name: getattr(state, f.name) for f in fields(State)}, "diverged": self._lost}
 
     def step_device(self, command: Tensor, substeps: int = 1) -> None:
         try:
@@ -79,12 +88,14 @@ class HostDoor:
         except Diverged as error:
             self._lost[list(error.copies)] = True
             self._simulation.reset(error.copies)
+        self.refresh()
 
     def reset_device(self, mask: Tensor) -> None:
         chosen = mask.cpu().numpy()
         self._lost[chosen] = False
         if chosen.any():
             self._simulation.reset(np.flatnonzero(chosen))
+            self.refresh()
 
     def close(self) -> None:
         self._simulation.close()
@@ -122,7 +133,9 @@ def snapshot_arrays(simulation: Simulation) -> dict[str, NDArray[np.float64]]:
     return {name: getattr(snapshot, name) for name in _SNAPSHOT}
 
 
-def restore(simulation: Simulation, arrays: Mapping[str, NDArray[np.float64]]) -> None:
-    """Go on from what :func:`snapshot_arrays` returned."""
+def restore(simulation: Simulation, door: Door, arrays: Mapping[str, NDArray[np.float64]]) -> None:
+    """Go on from what :func:`snapshot_arrays` returned, in a simulation and behind its door."""
     parts = {name: arrays[name] for name in _SNAPSHOT}
     simulation.set_snapshot(Snapshot(simulation.engine, simulation.robot.fingerprint, **parts))
+    if isinstance(door, HostDoor):
+        door.refresh()

@@ -50,6 +50,7 @@ class DeviceTrial:
         self, door: Door, work: Work, runs: int, seed: int, module: Actor, device: torch.device
     ) -> None:
         self._door, self._work, self._module = door, work, module
+        self._state = door.device_state()
         self._shape = runs, door.num // runs
         drawn = Episodes(self._shape[1], work.task, work.space)
         drawn.begin(np.arange(self._shape[1]), np_random(seed)[0])
@@ -93,7 +94,7 @@ class DeviceTrial:
 
     @torch.no_grad()
     def _act(self) -> None:
-        state, targets = cast(State, self._door.device_state()), self._episodes.targets
+        state, targets = cast(State, self._state), self._episodes.targets
         seen = cast(Foreign, observe(state, targets)).view(*self._shape, -1)
         module, cables = self._module, None
         if module.mirror_symmetry is not None:
@@ -105,7 +106,7 @@ class DeviceTrial:
 
     @torch.no_grad()
     def _judge(self) -> None:
-        state, episodes = self._door.device_state(), self._episodes
+        state, episodes = self._state, self._episodes
         episodes.advance(self._work.frame_skip, self._door.robot.time_step)
         distance = cast(Foreign, tip_distance(cast(State, state), episodes.targets))
         _, verdict = cast(Foreign, episodes.judge(cast(State, state)))

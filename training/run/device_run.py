@@ -233,7 +233,7 @@ class DeviceRuns:
         if len(found) > 1:
             raise CdcsrError(f"Resume runs together that stand at the same update; found {found}.")
         engine = {k: torch.cat([one[k] for one in arrays]).numpy() for k in arrays[0]}
-        restore(parts.simulation, engine)
+        restore(parts.simulation, parts.learner.collector.door, engine)
         return next(iter(found))
 
     def _finish(self, actors: Sequence[Actor], updates: int, steps: int) -> list[Policy]:

@@ -165,3 +165,16 @@ def test_a_policy_learned_on_a_device_reaches(tmp_path: Path) -> None:
     reached = setup.validate(policy).summary()["success_rate"]
     assert reached >= 0.8
     assert reached > clone
+
+
+@pytest.mark.slow
+def test_the_door_of_warp_is_used(tmp_path: Path, demonstrations: Path) -> None:
+    pytest.importorskip("mujoco_warp", reason="the extra gpu is not installed")
+    options = {"backend": "warp:device=cpu", "seeds": "0:2", "updates": 30, "evaluate_every": 15}
+    first = _config(tmp_path / "runs", demonstrations, stop_after=0.0, **options)
+    train_on_device(first, CPU)
+    train_on_device(_config(tmp_path / "runs", demonstrations, **options), CPU)
+    train_on_device(_config(tmp_path / "whole", demonstrations, **options), CPU)
+    again = _weights(tmp_path / "runs/s1")
+    for name, weights in _weights(tmp_path / "whole/s1").items():
+        assert torch.equal(weights, again[name])
