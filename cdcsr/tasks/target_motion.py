@@ -233,7 +233,7 @@ def _turned(vector: Array, rotation: Array) -> Array:
     """Turn vectors about `rotation` by its length in [rad] (Rodrigues' formula); shapes (n, 3)."""
     xp = array_namespace(vector)
     angle = xp.linalg.vector_norm(rotation, axis=1, keepdims=True)
-    axis = rotation / xp.clip(angle, xp.finfo(angle.dtype).smallest_normal, None)
+    axis = rotation / (angle + (angle == 0))
     along = xp.sum(axis * vector, axis=1, keepdims=True) * axis
     across = xp.linalg.cross(axis, vector)
     return along + xp.cos(angle) * (vector - along) + xp.sin(angle) * across
