@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from contextlib import contextmanager
-from typing import Any, NamedTuple
+from typing import Any
 
 import mujoco_warp
 import numpy as np
@@ -17,6 +17,7 @@ from backends.mujoco.active_cables import base_size
 from backends.mujoco.simulation import MujocoSimulation
 from backends.warp.device import Copies, choose_device
 from backends.warp.equation import equation_of_motion
+from backends.warp.tensors import DeviceState, tensors_of
 from cdcsr.errors import CdcsrError
 from cdcsr.robot.description import Robot
 from cdcsr.robot.stability import highest_speeds, too_fast
@@ -39,41 +40,6 @@ class WarpOptions(EngineOptions):
 
     device: str = Field("auto", pattern=r"^(auto|cpu|cuda(:\d+)?)$")
     """Where the copies are: cuda, cuda:1 for another GPU, cpu; auto takes a GPU if there is one."""
-
-
-class DeviceState(NamedTuple):
-    """The state of all copies as tensors on the device, in single precision.
-
-    The numbers are those of :class:`cdcsr.simulation.contract.State`, in the same units and frames.
-    The tensors are the engine's own memory: read them only. They change with every step and reset;
-    clone what is to last.
-    """
-
-    time: torch.Tensor
-    """Shape (num,), in [s], in double precision."""
-    tip_position: torch.Tensor
-    """Shape (num, 3), in [m]."""
-    tip_velocity: torch.Tensor
-    """Shape (num, 3), in [m/s]."""
-    base_position: torch.Tensor
-    """Shape (num, 3), in [m]."""
-    base_quaternion: torch.Tensor
-    """w-x-y-z, unit length to rounding, shape (num, 4)."""
-    base_velocity: torch.Tensor
-    """Shape (num, 3), in [m/s]."""
-    base_angular_velocity: torch.Tensor
-    """In the world frame, shape (num, 3), in [rad/s]."""
-    cable_travel: torch.Tensor
-    """Shape (num, C), in [m]; negative is pulled."""
-    cable_tension: torch.Tensor
-    """The tension in the last step, shape (num, C), in [N]."""
-    joint_angles: torch.Tensor
-    """Shape (num, H), in [rad]."""
-    joint_rates: torch.Tensor
-    """Shape (num, H), in [rad/s]."""
-    diverged: torch.Tensor
-    """Whether a copy has diverged since its last reset, shape (num,), bool. Such a copy stands at
-    the start; its numbers mean nothing until it is reset."""
 
 
 @taking_turns
@@ -108,6 +74,9 @@ class WarpSimulation(Simulation):
         self._copies = Copies(robot, num, choose_device(self.options.device))
         self._q, self._v = base_size(robot)
         self._drawer: MujocoSimulation | None = None
+        self._tensors = tensors_of(self._copies, robot)
+        self._command = wp.to_torch(self._copies.data.ctrl)
+        self._chosen_copies = wp.to_torch(self._copies.chosen)
         every = np.arange(num)
         if self.plant.cable_compliance.any():
             self._set_plant(every, self.plant)
@@ -116,32 +85,10 @@ class WarpSimulation(Simulation):
     # --- on the device ----------------------------------------------------------------------------
 
     def device_state(self) -> DeviceState:
-        """Return the state of all copies on the device; nothing is copied."""
+        """Return the state of all copies on the device; nothing is copied, and it is always the
+        same tensors."""
         self._check_open()
-        copies, cables = self._copies, self.robot.num_cables
-        qpos, qvel = wp.to_torch(copies.data.qpos), wp.to_torch(copies.data.qvel)
-        position, quaternion = qpos[:, :3], qpos[:, 3:7]
-        velocity = qvel[:, :3]
-        if not self._v:
-            base = self.robot.base
-            position, quaternion, velocity = (
-                torch.tensor(part, dtype=qpos.dtype, device=qpos.device).expand(self.num, -1)
-                for part in (base.position, base.quaternion, (0.0, 0.0, 0.0))
-            )
-        return DeviceState(
-            time=wp.to_torch(copies.time),
-            tip_position=wp.to_torch(copies.tip),
-            tip_velocity=wp.to_torch(copies.tip_velocity),
-            base_position=position,
-            base_quaternion=quaternion,
-            base_velocity=velocity,
-            base_angular_velocity=wp.to_torch(copies.base_turning),
-            cable_travel=qpos[:, self._q : self._q + cables],
-            cable_tension=wp.to_torch(copies.tension),
-            joint_angles=qpos[:, self._q + cables :],
-            joint_rates=qvel[:, self._v + cables :],
-            diverged=wp.to_torch(copies.diverged),
-        )
+        return self._tensors
 
     def step_device(self, command: torch.Tensor, substeps: int = 1) -> None:
         """Advance all copies under commands on the device; read `diverged` to see which are lost.
@@ -158,9 +105,8 @@ class WarpSimulation(Simulation):
         self._check_open()
         if not self._line.idle:
             raise CdcsrError("step_device delays no commands; use step, or set no command_delay.")
-        ctrl = wp.to_torch(self._copies.data.ctrl)
-        self._check_tensor("The command", command, ctrl)
-        ctrl.copy_(command)
+        self._check_tensor("The command", command, self._command)
+        self._command.copy_(command)
         with self._in_torch_order():
             for _ in range(substeps):
                 self._copies.step()
@@ -175,9 +121,8 @@ class WarpSimulation(Simulation):
             CdcsrError: the mask has another shape or is on another device.
         """
         self._check_open()
-        chosen = wp.to_torch(self._copies.chosen)
-        self._check_tensor("The mask", mask, chosen)
-        chosen.copy_(mask)
+        self._check_tensor("The mask", mask, self._chosen_copies)
+        self._chosen_copies.copy_(mask)
         with self._in_torch_order():
             self._copies.restart()
 
