@@ -14,6 +14,7 @@ from __future__ import annotations
 import threading
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from functools import partial
 from typing import Any
 
 import mujoco
@@ -118,9 +119,14 @@ class Copies:
         with _one_at_a_time, wp.ScopedDevice(self.device):
             yield
 
-    def step(self) -> None:
-        """Advance all copies by one time step under the controls in `data`."""
-        self._do(f"step {bool(self._loads)}", self._advance)
+    def step(self, restart: bool = False) -> None:
+        """Advance all copies by one time step under the controls in `data`.
+
+        Args:
+            restart: then put the copies in `chosen` to the start; a restart apart would bring all
+                that follows from positions up to date a second time, for all copies.
+        """
+        self._do(f"step {bool(self._loads)} {restart}", partial(self._advance, restart))
 
     def forward(self) -> None:
         """Bring all that follows from positions and velocities up to date."""
@@ -144,7 +150,7 @@ class Copies:
                 work()
             self._graphs[name] = capture.graph
 
-    def _advance(self) -> None:
+    def _advance(self, restart: bool) -> None:
         data, efc = self.data, self.data.efc
         if self._loads:
             inputs = [self._first_link, *self._loads, data.xmat]
@@ -161,7 +167,10 @@ class Copies:
         outputs = [data.qpos, data.qvel, data.qacc_warmstart, self.tension, self.time]
         outputs += [self.diverged, self.culprit, self.speed]
         wp.launch(kernels.end_step, dim=self.num, inputs=inputs, outputs=outputs)
-        self._update()
+        if restart:
+            self._restart()
+        else:
+            self._update()
 
     def _update(self) -> None:
         data, host = self.data, self.host

@@ -90,26 +90,32 @@ class WarpSimulation(Simulation):
         self._check_open()
         return self._tensors
 
-    def step_device(self, command: torch.Tensor, substeps: int = 1) -> None:
+    def step_device(
+        self, command: torch.Tensor, substeps: int = 1, restart: torch.Tensor | None = None
+    ) -> None:
         """Advance all copies under commands on the device; read `diverged` to see which are lost.
 
         Args:
             command: as in `step`, shape (num, C), on this device, in [m]. Its numbers are not
                 checked.
             substeps: how many time steps.
+            restart: the copies that stand at the start after that, shape (num,), bool, on this
+                device; this takes half the time of a step and a reset.
 
         Raises:
-            CdcsrError: the command has another shape or is on another device; or commands are
-                delayed, which only `step` can do.
+            CdcsrError: the command or the mask has another shape or is on another device; or
+                commands are delayed, which only `step` can do.
         """
         self._check_open()
         if not self._line.idle:
             raise CdcsrError("step_device delays no commands; use step, or set no command_delay.")
         self._check_tensor("The command", command, self._command)
         self._command.copy_(command)
+        if restart is not None:
+            self._choose(restart)
         with self._in_torch_order():
-            for _ in range(substeps):
-                self._copies.step()
+            for done in range(1, substeps + 1):
+                self._copies.step(restart is not None and done == substeps)
 
     def reset_device(self, mask: torch.Tensor) -> None:
         """Put copies to the start, as `reset` does.
@@ -121,10 +127,14 @@ class WarpSimulation(Simulation):
             CdcsrError: the mask has another shape or is on another device.
         """
         self._check_open()
-        self._check_tensor("The mask", mask, self._chosen_copies)
-        self._chosen_copies.copy_(mask)
+        self._choose(mask)
         with self._in_torch_order():
             self._copies.restart()
+
+    def _choose(self, mask: torch.Tensor) -> None:
+        """Take note of the copies that are to be put to the start."""
+        self._check_tensor("The mask", mask, self._chosen_copies)
+        self._chosen_copies.copy_(mask)
 
     def _check_tensor(self, name: str, found: torch.Tensor, like: torch.Tensor) -> None:
         if found.shape != like.shape or found.device != like.device:

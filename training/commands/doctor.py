@@ -207,7 +207,7 @@ def _machine() -> Iterator[Finding]:
     disk = shutil.disk_usage(Path.cwd()).free
     remedy = "Make room, or work in a folder of another disk." if disk < _LEAST_DISK else ""
     yield Finding("machine", "disk", f"{disk / 1e9:.1f} GB free under {Path.cwd()}", remedy)
-    gpu = "none; no command needs one"
+    gpu = "none; only `training --device cuda` needs one"
     if torch.cuda.is_available():
         gpu = f"{torch.cuda.get_device_name()}; the engine warp can use it"
     yield Finding("machine", "GPU", gpu)

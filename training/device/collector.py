@@ -99,7 +99,6 @@ class DeviceCollector:
         self.clone: list[Layer] | None = None
         self._actor: list[Layer] = []
         self._steps = 0
-        self._lost, self._fresh = torch.zeros(2, door.num, dtype=torch.bool, device=device)
 
     def _zeros(self, robot: Robot, device: torch.device) -> dict[str, Tensor]:
         rows, size = self._shape, observation_size(robot)
@@ -156,12 +155,8 @@ class DeviceCollector:
         """Take one action in every copy."""
         self._steps += 1
         self._before()
-        self.door.step_device(self.tensors["command"].flatten(0, 1), self._work.frame_skip)
-        # Copies that diverge in this step are seen after it, and those that ended begin anew.
-        lost = self._state.diverged
-        torch.bitwise_and(lost, ~self._flat("last"), out=self._lost)
-        torch.bitwise_or(self._lost, self._flat("last"), out=self._fresh)
-        self.door.reset_device(self._fresh)
+        command = self.tensors["command"].flatten(0, 1)
+        self.door.step_device(command, self._work.frame_skip, self._flat("last"))
         self._after()
 
     @torch.no_grad()
@@ -193,7 +188,9 @@ class DeviceCollector:
         """See what the actions led to, and begin the episodes of copies that ended before."""
         now, episodes, task = self.tensors, self._episodes, self._work.task
         state = cast(State, self._state)
-        ended, lost = self._flat("last").clone(), self._lost
+        # Copies that ended before stand at the start now, and so do those that just diverged,
+        # which end with this action.
+        ended, lost = self._flat("last").clone(), self._state.diverged.clone()
         episodes.advance(self._work.frame_skip, self._step)
         distance, verdict = (cast(Foreign, x) for x in episodes.judge(state))
         verdict = verdict.without(ended | lost)

@@ -42,8 +42,13 @@ class Door(Protocol):
         """Return the state: always the same tensors, whose numbers change with steps and resets."""
         ...
 
-    def step_device(self, command: Tensor, substeps: int = 1) -> None:
-        """Advance all copies; commands have the shape (num, C), in [m] or [N]."""
+    def step_device(
+        self, command: Tensor, substeps: int = 1, restart: Tensor | None = None
+    ) -> None:
+        """Advance all copies; commands have the shape (num, C), in [m] or [N].
+
+        Copies of the mask `restart`, shape (num,), stand at the start after that.
+        """
         ...
 
     def reset_device(self, mask: Tensor) -> None:
@@ -82,20 +87,27 @@ class HostDoor:
         state = self._simulation.state()
         return {**{f.name: getattr(state, f.name) for f in fields(State)}, "diverged": self._lost}
 
-    def step_device(self, command: Tensor, substeps: int = 1) -> None:
+    def step_device(
+        self, command: Tensor, substeps: int = 1, restart: Tensor | None = None
+    ) -> None:
         try:
             self._simulation.step(command.cpu().numpy().astype(np.float64), substeps)
         except Diverged as error:
             self._lost[list(error.copies)] = True
             self._simulation.reset(error.copies)
+        if restart is not None:
+            self._reset(restart)
         self.refresh()
 
     def reset_device(self, mask: Tensor) -> None:
+        self._reset(mask)
+        self.refresh()
+
+    def _reset(self, mask: Tensor) -> None:
         chosen = mask.cpu().numpy()
         self._lost[chosen] = False
         if chosen.any():
             self._simulation.reset(np.flatnonzero(chosen))
-            self.refresh()
 
     def close(self) -> None:
         self._simulation.close()

@@ -188,3 +188,20 @@ def test_what_the_device_cannot_do_is_refused(paper: Robot) -> None:
             make_simulation(paper, "warp:device=cuda:7")
     with pytest.raises(CdcsrError, match="warp has no friction in guides"):
         one.set_parameters(None, Parameters(guide_friction=0.1))
+
+
+def test_a_step_can_end_with_a_restart(paper: Robot) -> None:
+    one, other = warp(paper), warp(paper)
+    mask = torch.tensor([True, False, False, True])
+    for number, command in enumerate(commands_of(paper, 12, NUM, hold=5)):
+        tensor = torch.tensor(command, dtype=torch.float32)
+        if number == 6:
+            one.step_device(tensor, 2, mask)
+            other.step_device(tensor, 2)
+            other.reset_device(mask)
+        else:
+            one.step_device(tensor, 2)
+            other.step_device(tensor, 2)
+        for ours, theirs in zip(one.device_state(), other.device_state(), strict=True):
+            assert torch.equal(ours, theirs)
+    assert one.device_state().time.tolist() == pytest.approx([0.025, 0.06, 0.06, 0.025])
