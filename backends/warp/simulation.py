@@ -100,7 +100,7 @@ class WarpSimulation(Simulation):
                 checked.
             substeps: how many time steps.
             restart: the copies that stand at the start after that, shape (num,), bool, on this
-                device; this takes half the time of a step and a reset.
+                device; a reset apart would look a second time at what follows from positions.
 
         Raises:
             CdcsrError: the command or the mask has another shape or is on another device; or
