@@ -31,18 +31,21 @@ def available_memory() -> float:
     return max(0.0, min(found))
 
 
-def check_memory(what: str, needed: float, remedy: str) -> None:
+def check_memory(what: str, needed: float, remedy: str, free: float | None = None) -> None:
     """Check that something fits into memory before it is made.
 
     Args:
         what: a noun with its figures.
         needed: an estimate in bytes.
         remedy: what the user can do.
+        free: how many bytes there are; by default what this process may still take.
 
     Raises:
         CdcsrError: it does not fit.
     """
-    if needed > 1e8 and needed > (free := available_memory()):  # less is not worth the look
+    if needed < 1e8:  # not worth the look
+        return
+    if needed > (free := available_memory() if free is None else free):
         raise CdcsrError(
             f"{what} would need about {needed / 1e9:.1f} GB of memory, and {free / 1e9:.1f} GB are "
             f"free; {remedy}."

@@ -11,6 +11,7 @@ C cables.
 
 from __future__ import annotations
 
+import math
 from typing import NamedTuple
 
 import torch
@@ -93,6 +94,12 @@ class DeviceReplay:
         self.weights = discount ** torch.arange(max(longest, return_steps + 1), device=device)
         self._kept = _table(prefilled, device)
         self._num_kept = torch.tensor([_num(one) for one in prefilled], device=device)[:, None]
+
+    @staticmethod
+    def memory(shape: tuple[int, int, int], sizes: tuple[int, int]) -> float:
+        """Return how many bytes the rows take that such a replay stores."""
+        numbers = sizes[0] + 2 * sizes[1] + 2
+        return math.prod(shape) * (4.0 * numbers + 8 + 3)
 
     def views(self, run: int) -> dict[str, Tensor]:
         """Return what changes of one run, as views, by name; `time` is that of all runs."""

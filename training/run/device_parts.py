@@ -15,9 +15,11 @@ from torch.nn import functional
 from tqdm import tqdm
 
 from cdcsr.errors import CdcsrError
+from cdcsr.memory import check_memory
 from cdcsr.simulation.contract import Simulation
 from cdcsr.simulation.engines import make_simulation
 from cdcsr.tasks.catalogue import actions_per_episode, make_task
+from cdcsr.tasks.observation import observation_size
 from cdcsr.tasks.spaces import Space, make_space, wider_targets
 from training.algorithms.bc import pairs
 from training.algorithms.registry import find_algorithm
@@ -100,6 +102,15 @@ def make_parts(setups: Sequence[Setup], device: torch.device) -> DeviceParts:
     kind, learner = find_algorithm(setups[0].config.algorithm).learner, setups[0].learner
     assert kind is not None
     assert isinstance(learner, BackboneNumbers)
+    robot, seeds = setups[0].robot, [setup.config.seed for setup in setups]
+    shape = len(seeds), learner.num_envs, learner.capacity // learner.num_envs
+    sizes = observation_size(robot), robot.num_cables
+    check_memory(
+        f"{len(seeds)} replays of {learner.capacity:,} rows",
+        DeviceReplay.memory(shape, sizes),
+        "lower --learner.capacity, or name fewer seeds",
+        None if device.type == "cpu" else torch.cuda.mem_get_info(device)[0],
+    )
     algorithms = []
     for setup in setups:  # each has the weights that it would have alone
         torch.manual_seed(setup.config.seed)
@@ -118,11 +129,8 @@ def make_parts(setups: Sequence[Setup], device: torch.device) -> DeviceParts:
         for setup, actor, clone in zip(setups, actors, clones or [None] * len(actors), strict=True)
     ]
     networks, module = make_networks(algorithms, learner, device), deepcopy(actors[0]).to(device)
-    robot, seeds = setups[0].robot, [setup.config.seed for setup in setups]
     episodes = setups[0].config.evaluate_episodes
     simulation = make_simulation(robot, setups[0].config.backend, len(seeds) * learner.num_envs)
-    shape = len(seeds), learner.num_envs, learner.capacity // learner.num_envs
-    sizes = len(module.encoder.offset), robot.num_cables
     rows = shape, sizes, env.max_actions, learner.discount, learner.return_steps, kept, device
     replay = DeviceReplay(*rows)
     if learner.hindsight:
@@ -204,6 +212,9 @@ def _prefilled(
 
     share = learner.kept_share if isinstance(learner, Demonstrated) else 0.0
     known = None if clone is None else actions
-    replay = MixedReplay(setup.robot, work.task, learner, known, share)
-    replay.prefill(setup.first_episodes(actor, clone))
+    episodes = setup.first_episodes(actor, clone)
+    needed = max(1, sum(len(episode.observations) for episode in episodes))
+    small = learner.changed(capacity=needed)
+    replay = MixedReplay(setup.robot, work.task, small, known, share)
+    replay.prefill(episodes)
     return replay.buffers["kept" if share > 0 else "replay"]

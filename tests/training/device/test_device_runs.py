@@ -140,6 +140,13 @@ def test_what_a_device_cannot_do_is_refused(
     assert not (tmp_path / "run").exists()
 
 
+def test_replays_that_do_not_fit_are_refused(tmp_path: Path, demonstrations: Path) -> None:
+    numbers = {"capacity": 10_000_000}
+    config = _config(tmp_path / "run", demonstrations, "td3", numbers=numbers, seeds="0:900")
+    with pytest.raises(CdcsrError, match="900 replays of 10,000,000 rows would need about"):
+        train_on_device(config, CPU)
+
+
 @pytest.mark.skipif(torch.cuda.is_available(), reason="there is a GPU")
 def test_without_a_gpu_cuda_is_refused(tmp_path: Path) -> None:
     command = TrainCommand("training", ["--device", "cuda", "--out", str(tmp_path / "run")])
