@@ -13,10 +13,11 @@ from safetensors import safe_open
 
 from cdcsr.robot.description import Robot, load_robot
 from cdcsr.tasks.observation import observation_size
+from cdcsr.tasks.symmetry import images
 from controllers.demonstrations import load
 from tests.support.tiny import FRAME_SKIP, tiny_changes
 from training.algorithms.batd3 import BATD3, WithoutAssistance
-from training.algorithms.bc import BehaviourCloning, imitate
+from training.algorithms.bc import BehaviourCloning, imitate, pairs
 from training.algorithms.clasp import CLASP
 from training.algorithms.drldr import DRLDR
 from training.algorithms.rbl import RBL
@@ -25,6 +26,7 @@ from training.algorithms.td3 import TD3, BackboneNumbers
 from training.config.learner import Cloning
 from training.config.run_description import Changes
 from training.experience.replay import Batch
+from training.networks.actor import Actor
 from training.run.train_options import Train
 from training.run.trainer import train
 
@@ -285,6 +287,25 @@ def test_clone_learns_a_known_policy(small_robot: Robot) -> None:
         ((clone.actor.command(observations) - commands) / 2.5).square().mean(), rel=0.5
     )
     assert not any(p.requires_grad for p in clone.actor.parameters())
+
+
+def test_all_images_of_a_demonstration_are_shown_as_one() -> None:
+    """So a clone with mirror symmetry learns the same from each of them."""
+    robot, random = load_robot("paper"), np.random.default_rng(0)
+    actor = Actor(robot, True, (8,), "tanh", mirror_symmetry=True).double()
+    observations = random.normal(size=(20, observation_size(robot)))
+    commands = -5 * random.random((20, robot.num_cables))
+    shown = [
+        pairs(
+            actor, *map(torch.from_numpy, (each.observation(observations), each.command(commands)))
+        )
+        for each in images(robot)
+    ]
+    assert len(shown) == 4
+    for inputs, wanted in shown[1:]:
+        torch.testing.assert_close(inputs, shown[0][0])
+        torch.testing.assert_close(wanted, shown[0][1])
+    assert shown[0][1].std(0).min() > 0.1
 
 
 def test_imitation_is_the_same_for_clone_and_actor(small_robot: Robot) -> None:
