@@ -97,7 +97,7 @@ class Cables:
         self.tension = np.zeros((many.nsim, cables))
         self._batch, self._before = many, many.state.copy()
         self._slider_offset = route.slider_offset
-        self._rest = np.tile(route.rest_length, (many.nsim, 1))
+        self._rest = np.repeat(route.rest_length[None], many.nsim, axis=0)  # never a view
         self._described_rest, self._bent = route.rest_length, route.bent
         self._target = many.expand("eq_data")[:, :cables, 0]
         """Where active equalities end a step, shape (num, C), in [m] beyond the length along the

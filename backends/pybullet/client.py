@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import tempfile
+from functools import lru_cache
 from itertools import pairwise
 from pathlib import Path
 
@@ -76,7 +77,7 @@ def load_robot_body(robot: Robot, client: int, fixed: bool = False, solid: bool 
     handle, name = tempfile.mkstemp(prefix=f"{robot.fingerprint}_", suffix=".urdf")
     try:
         with os.fdopen(handle, "w", encoding="utf-8") as file:
-            file.write(urdf(robot, solid=solid))
+            file.write(_text(robot, solid))
         body = pybullet.loadURDF(name, useFixedBase=fixed, flags=flags, physicsClientId=client)
     finally:
         Path(name).unlink()
@@ -98,6 +99,12 @@ def load_robot_body(robot: Robot, client: int, fixed: bool = False, solid: bool 
         body, range(count), pybullet.VELOCITY_CONTROL, forces=[0.0] * count, physicsClientId=client
     )
     return body
+
+
+@lru_cache(maxsize=16)
+def _text(robot: Robot, solid: bool) -> str:
+    """Return the URDF, which takes longer to write than to load; copies have one."""
+    return urdf(robot, solid=solid)
 
 
 def _own_links(robot: Robot) -> list[int]:

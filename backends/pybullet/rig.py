@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from copy import deepcopy
 from typing import NamedTuple, TypeVar
 
 import numpy as np
@@ -103,7 +104,7 @@ def rig(robot: Robot, plant: Plant | None = None, copy: int = 0) -> Rig:
         plant: how copies differ from it; by default they do not.
         copy: the row of `plant`.
     """
-    route = routing(robot)
+    route = deepcopy(routing(robot))  # compiled functions take read-only arrays for another type
     made = Rig(
         place=route.place,
         guide_offset=route.guide_offset,

@@ -7,6 +7,7 @@ one joint, plus the straight part between slider and first guide. Base motion do
 
 from __future__ import annotations
 
+from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
@@ -97,8 +98,12 @@ class Routing(NamedTuple):
         return bool((self.hinges[:, 2] < 0).all() and (self.axes[:, :2] == (0, 1)).all())
 
 
+@lru_cache(maxsize=64)
 def routing(robot: Robot) -> Routing:
-    """Return the routing of every cable, segment by segment in the order of the description."""
+    """Return the routing of every cable, segment by segment in the order of the description.
+
+    It takes milliseconds, so it is kept; its arrays are read-only.
+    """
     runs: list[_Run] = []
     crossed, links = 0, [link.length for link, _ in robot.links]
     for segment in robot.segments:
@@ -132,10 +137,13 @@ def routing(robot: Robot) -> Routing:
         parallel=all(run.parallel for run in runs),
     )
     start = np.array(robot.start_angles)
-    if not start.any():
-        return route
-    bent = cable_lengths(route, np.zeros(len(runs)), start) - route.rest_length
-    return route._replace(rest_length=route.rest_length + bent, bent=bent)
+    if start.any():
+        bent = cable_lengths(route, np.zeros(len(runs)), start) - route.rest_length
+        route = route._replace(rest_length=route.rest_length + bent, bent=bent)
+    for part in route:
+        if isinstance(part, np.ndarray):
+            part.setflags(write=False)
+    return route
 
 
 class _Run(NamedTuple):

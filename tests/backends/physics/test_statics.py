@@ -88,8 +88,10 @@ def taken_in(robot: Robot, hinges: Array) -> Array:
     return np.array(shortened)
 
 
-def least_energy(robot: Robot, command: Array) -> Array:
-    """Return the hinge angles of least potential energy, shape (2 J,), in [rad].
+@cache
+def least_energy(robot: Robot, command: tuple[float, ...]) -> Array:
+    """Return the hinge angles of least potential energy, shape (2 J,), in [rad]; found once for all
+    engines.
 
     The energy is 1/2 k q² of every hinge and 1/2 g (x - command)² of every servo, with every cable
     at most at its rest length. For given angles this means x >= taken_in(q), and the best x is the
@@ -116,7 +118,7 @@ def check_rest(robot: Robot, engine: str, num: int, seed: int) -> None:
     state, allowed = at_rest(settling(robot), engine, command)
     gain = np.array([servo.gain for servo in robot.servos])
     for copy, pulls in enumerate(command):
-        expected = least_energy(robot, pulls)
+        expected = least_energy(robot, tuple(pulls))
         assert 0.02 < np.abs(expected).max() < 0.9 * robot.segments[0].joint.limit
         travel = np.maximum(taken_in(robot, expected), pulls)
         # A cable that stretches is a spring in series with that of its servo, whose tension, and

@@ -269,6 +269,13 @@ def test_batches_give_the_same_as_single_states(robot: Robot) -> None:
         )
 
 
+def test_a_routing_is_kept_and_nobody_can_change_it(robot: Robot) -> None:
+    kept = routing(robot)
+    assert kept is routing(robot.model_copy())
+    with pytest.raises(ValueError, match="read-only"):
+        kept.rest_length[0] = 1.0
+
+
 def test_a_slider_has_room_below_its_guide() -> None:
     text = load_robot("planar-single").to_toml()
     short = text.replace("offset = 0.2\n", "offset = 0.01\n")
