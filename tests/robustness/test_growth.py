@@ -45,7 +45,7 @@ def check(engine: str, steps: int, resets: int, environments: int) -> None:
 
     def step(count: int) -> None:
         for _ in range(count):
-            with_steps.step(rng.uniform(-0.02, 0.0, (2, ROBOT.num_cables)), 10)
+            with_steps.step(rng.uniform(-0.02, 0.0, (2, ROBOT.num_cables)))
             with_steps.state()
 
     env = TaskVectorEnv(2, ROBOT, engine)

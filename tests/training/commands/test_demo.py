@@ -27,9 +27,8 @@ def tiny(minutes: float) -> Amounts:
 
 def engines() -> list[str]:
     """The engines that are measured in: enough to be quick, and one of a package that is new."""
-    found = [name for name in backend_names() if not name.endswith("-stock")]
-    assert found == ["mujoco", "pybullet", "third"]
-    return found
+    assert {"mujoco", "pybullet", "third"} <= set(backend_names())
+    return ["mujoco", "third"]
 
 
 class Killed(BaseException):

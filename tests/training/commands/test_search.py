@@ -17,6 +17,7 @@ from cdcsr.tables import csv_text, read_csv_rows
 from cdcsr.tasks.spaces import make_space
 from controllers.controller import Controller
 from controllers.search import Outcome
+from training.commands import search as search_command
 from training.config.seeds import TEST_SEED
 
 FOUND = [
@@ -80,8 +81,10 @@ def test_each_held_out_target_is_searched_by_itself(
 
 
 def test_the_command_goes_on_and_refuses_another_search(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    monkeypatch.setattr(search_command, "_COPIES", 6)
+
     def search(out: Path, episodes: int, *more: str) -> int:
         asked = [
             "search",

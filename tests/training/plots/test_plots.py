@@ -135,11 +135,11 @@ def test_recording_ends_where_the_episodes_do(recordings: list[video.Recording])
 def test_video_shows_a_moving_robot_in_each_half(
     recordings: list[video.Recording], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(video, "FRAME_PERIOD", 0.2)  # every 80th step
+    monkeypatch.setattr(video, "FRAME_PERIOD", 0.4)  # every 160th step
     frames = list(video.draw_frames(recordings, ROBOT, TARGETS, ROBOT.time_step))
     ends = np.array([recording.end for recording in recordings])
-    # Steps 0, 80, ... before the end, and the end itself; then the end stays.
-    expected = int((-(-ends // 80) + 1).max(axis=0).sum()) + len(TARGETS) * video.HOLD
+    # Steps 0, 160, ... before the end, and the end itself; then the end stays.
+    expected = int((-(-ends // 160) + 1).max(axis=0).sum()) + len(TARGETS) * video.HOLD
     assert len(frames) == expected
 
     video.write_video(frames, tmp_path / "policy.mp4")
