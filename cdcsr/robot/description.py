@@ -20,7 +20,7 @@ from collections.abc import Iterator
 from functools import lru_cache
 from importlib import resources
 from pathlib import Path
-from typing import Annotated, Self
+from typing import TYPE_CHECKING, Annotated, Self
 
 import numpy as np
 import tomli_w
@@ -73,6 +73,10 @@ class Robot(Part):
     mujoco: MujocoOptions = MujocoOptions()
     scale: Scale = Scale()
     """Numbers of the tasks; by default they follow from the arm's length and pace."""
+
+    if TYPE_CHECKING:  # Pydantic gives frozen models a hash, of which type checkers do not know.
+
+        def __hash__(self) -> int: ...
 
     @model_validator(mode="wrap")
     @classmethod
