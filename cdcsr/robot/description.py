@@ -17,7 +17,6 @@ import json
 import shlex
 import tomllib
 from collections.abc import Iterator
-from functools import lru_cache
 from importlib import resources
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Self
@@ -212,19 +211,14 @@ class Robot(Part):
     @property
     def fingerprint(self) -> str:
         """A hash of every number that affects the motion; name, scale and looks do not."""
-        return _fingerprint(self)
+        looks = {"own_link": {"mesh"}, "own_chain": {"__all__": {"mesh"}}}
+        others = {"name": True, "scale": True, "base": {"mesh"}, "segments": {"__all__": looks}}
+        data = self.model_dump(mode="json", exclude=others)
+        return hashlib.sha256(json.dumps(data, sort_keys=True).encode()).hexdigest()[:16]
 
     def to_toml(self) -> str:
         """Return the description as TOML; reading it back gives an equal robot."""
         return tomli_w.dumps(self.model_dump(mode="json"))
-
-
-@lru_cache(maxsize=64)
-def _fingerprint(robot: Robot) -> str:
-    looks = {"own_link": {"mesh"}, "own_chain": {"__all__": {"mesh"}}}
-    others = {"name": True, "scale": True, "base": {"mesh"}, "segments": {"__all__": looks}}
-    data = robot.model_dump(mode="json", exclude=others)
-    return hashlib.sha256(json.dumps(data, sort_keys=True).encode()).hexdigest()[:16]
 
 
 def differences(own: Robot, other: Robot) -> str:
