@@ -100,10 +100,7 @@ class Routing(NamedTuple):
 
 @lru_cache(maxsize=64)
 def routing(robot: Robot) -> Routing:
-    """Return the routing of every cable, segment by segment in the order of the description.
-
-    It takes milliseconds, so it is kept; its arrays are read-only.
-    """
+    """Return the routing of every cable, in the order of the description; it is kept, read-only."""
     runs: list[_Run] = []
     crossed, links = 0, [link.length for link, _ in robot.links]
     for segment in robot.segments:
@@ -112,8 +109,7 @@ def routing(robot: Robot) -> Routing:
             runs += [
                 _run(robot.first_joint, links, segment, way, crossed) for way in segment.cables.ways
             ]
-    hinges, axes = np.full((2, len(links), 3), -1)
-    count = 0
+    (hinges, axes), count = np.full((2, len(links), 3), -1), 0
     for j, (_, joint) in enumerate(robot.links):
         for k, hinge in enumerate(joint.hinges):
             hinges[j, k], axes[j, k] = count, "xyz".index(hinge.axis)
@@ -136,8 +132,7 @@ def routing(robot: Robot) -> Routing:
         guides=tuple(run.guides for run in runs),
         parallel=all(run.parallel for run in runs),
     )
-    start = np.array(robot.start_angles)
-    if start.any():
+    if (start := np.array(robot.start_angles)).any():
         bent = cable_lengths(route, np.zeros(len(runs)), start) - route.rest_length
         route = route._replace(rest_length=route.rest_length + bent, bent=bent)
     for part in route:

@@ -46,6 +46,7 @@ class Extent:
     changes: Changes = ()
     """Numbers of the learner that are not those of the preset `gpu`."""
     evaluate_every: int = 500
+    evaluate_episodes: int = 100
 
 
 def gpu(robot: Robot, device: torch.device, extent: Extent | None = None) -> Iterator[Measurement]:
@@ -206,6 +207,7 @@ def _config(
         seeds=f"0:{seeds}",
         stop_after=minutes,
         evaluate_every=extent.evaluate_every,
+        evaluate_episodes=extent.evaluate_episodes,
         updates=1_000_000,
         changes=extent.changes,
     )

@@ -24,6 +24,7 @@ def test_every_row_is_measured() -> None:
         capture_minutes=0.0,
         changes=tuple(small.items()),
         evaluate_every=4,
+        evaluate_episodes=2,
     )
     rows = {row.name: row for row in gpu(PAPER, torch.device("cpu"), extent)}
     assert rows["gpu_name"].details["gpu_versions"]

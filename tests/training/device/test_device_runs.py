@@ -141,9 +141,9 @@ def test_what_a_device_cannot_do_is_refused(
 
 
 def test_replays_that_do_not_fit_are_refused(tmp_path: Path, demonstrations: Path) -> None:
-    numbers = {"capacity": 10_000_000}
-    config = _config(tmp_path / "run", demonstrations, "td3", numbers=numbers, seeds="0:900")
-    with pytest.raises(CdcsrError, match="900 replays of 10,000,000 rows would need about"):
+    numbers = {"capacity": 20_000_000}
+    config = _config(tmp_path / "run", demonstrations, "td3", numbers=numbers, seeds="0:60")
+    with pytest.raises(CdcsrError, match="60 replays of 20,000,000 rows would need about"):
         train_on_device(config, CPU)
 
 
