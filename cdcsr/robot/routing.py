@@ -114,7 +114,6 @@ def routing(robot: Robot) -> Routing:
         for k, hinge in enumerate(joint.hinges):
             hinges[j, k], axes[j, k] = count, "xyz".index(hinge.axis)
             count += 1
-    size = len(runs), len(links)
     route = Routing(
         place=np.array([run.place for run in runs], dtype=float).reshape(-1, 2),
         guide_offset=np.array([run.guide_offset for run in runs], dtype=float),
@@ -125,9 +124,9 @@ def routing(robot: Robot) -> Routing:
         hinges=hinges,
         axes=axes,
         first=np.array([run.first for run in runs], dtype=np.int64),
-        low=np.array([run.low for run in runs], dtype=float).reshape(*size, 3),
-        high=np.array([run.high for run in runs], dtype=float).reshape(*size, 3),
-        chord=np.array([run.chord for run in runs], dtype=float).reshape(size),
+        low=np.array([run.low for run in runs], dtype=float).reshape(-1, len(links), 3),
+        high=np.array([run.high for run in runs], dtype=float).reshape(-1, len(links), 3),
+        chord=np.array([run.chord for run in runs], dtype=float).reshape(-1, len(links)),
         reach=np.array(links, dtype=float),
         guides=tuple(run.guides for run in runs),
         parallel=all(run.parallel for run in runs),
