@@ -253,8 +253,7 @@ def test_an_engine_of_another_robot_converges_elsewhere(paper: Robot) -> None:
 
 
 def test_bullets_damping_is_named_and_accounts_for_the_distance(paper: Robot) -> None:
-    """With its damping off, the stock engine is the engine `pybullet`; other switches move
-    nothing."""
+    """With its damping off, the stock engine is `pybullet`; other switches move nothing."""
     engines = {name: engine_factory(name) for name in ("mujoco", "pybullet-stock")}
     others = {name: engine_factory(name) for name in switched_off("pybullet-stock")}
     commands = random_commands(paper, 2, seed=0, steps=60)
@@ -266,6 +265,7 @@ def test_bullets_damping_is_named_and_accounts_for_the_distance(paper: Robot) ->
     assert damping > 1e-5
     assert max(rest) < 1e-9
     assert loop.limit_distance("pybullet-stock") > 0.1 * damping
+    assert {moved.shape for moved in loop.switches.values()} == {(60, 2)}
 
 
 # --- the whole ------------------------------------------------------------------------------------
