@@ -56,6 +56,7 @@ PACKAGES: dict[str, str] = {
     "tests/training/commands/test_validate.py",
     "backends/viewers": "tests/backends/viewers tests/training/commands/test_film.py",
     "training/algorithms": "tests/training/algorithms tests/training/run tests/training/config",
+    "training/device": "tests/training/device tests/training/algorithms/test_reference_update.py",
     "training/experience": "tests/training/experience tests/training/algorithms tests/training/run",
 }
 """The packages that are changed, and the tests that should notice."""
