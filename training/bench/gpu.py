@@ -33,7 +33,7 @@ _PACKAGES = "torch", "mujoco", "mujoco-warp", "warp-lang", "cdcsr"
 
 @dataclass(frozen=True)
 class Extent:
-    """How much is measured; the defaults take about five minutes on one fast GPU."""
+    """How much is measured."""
 
     engine: str = "warp"
     copies: tuple[int, ...] = (1_024, 8_192, 65_536)

@@ -17,7 +17,7 @@ def bench(
 
     The machine's own speed is printed beside each ratio. The section "trainer" needs the
     development dependencies; "memory" needs a system with the `resource` module; "gpu" needs the
-    extra `gpu` and takes about six minutes.
+    extra `gpu`; learning takes three and a half minutes of it.
 
     Args:
         sections: memory, growth, arms, trainer, gpu, or one that an engine brings; by default all.
