@@ -38,12 +38,12 @@ TASKS = {
 
 
 def _filled(
-    task: Task, rows: int
+    task: Task, rows: int, hindsight: int = 4
 ) -> tuple[HindsightReplay, dict[float, tuple[int, int]], list[NDArray[np.float64]]]:
     """Return a replay of random walks, where each row is (episode, number), and the episodes."""
     rng, empty = np.random.default_rng(0), Replay(1, *SIZES, DISCOUNT, RETURN_STEPS)
     shape = (1, COPIES, rows), SIZES, LONGEST, DISCOUNT, RETURN_STEPS, [empty], CPU
-    replay = HindsightReplay(task, 4, *shape)
+    replay = HindsightReplay(task, hindsight, *shape)
     length = rng.integers(2, LONGEST, size=COPIES, endpoint=True)
     running: list[list[NDArray[np.float64]]] = [[] for _ in range(COPIES)]
     place, episodes = {}, []
@@ -125,3 +125,12 @@ def test_the_new_targets_are_spread_over_the_episode() -> None:
         nearest.append(np.linalg.norm(tip - seen[TARGET], axis=1).argmin() / (len(tip) - 1))
     shares, _ = np.histogram(nearest, 4, (0, 1))
     assert shares.min() > 100
+
+
+def test_one_copy_is_half_of_what_is_drawn() -> None:
+    replay, place, episodes = _filled(TASKS["reach"], STEPS, hindsight=1)
+    own = 0
+    for seen in replay.sample(2000, Streams([5], CPU)).observation[0].numpy():
+        episode, number = place[float(seen[MARK])]
+        own += np.abs(seen[TARGET] - episodes[episode][number, TARGET]).max() < 1e-6
+    assert 0.5 < own / 2000 < 0.7  # half, and those that cannot be moved

@@ -13,10 +13,19 @@ import torch
 from safetensors.torch import load_file
 
 from cdcsr.errors import CdcsrError
+from cdcsr.robot.description import load_robot
+from cdcsr.tasks.observation import observation_size
 from tests.support.tiny import FRAME_SKIP, tiny_changes
+from training.algorithms import bc
+from training.algorithms.reference_update import parameters
 from training.algorithms.registry import ALGORITHMS
 from training.commands.train import TrainCommand
+from training.config.learner import Cloning
+from training.device.imitation import imitate
+from training.device.networks import side_by_side, stacked_actor
+from training.networks.actor import Actor
 from training.policy import load_policy
+from training.run.device_parts import make_parts
 from training.run.device_run import train_on_device
 from training.run.setup import Setup
 from training.run.train_options import Train
@@ -94,6 +103,39 @@ def test_clones_are_trained_side_by_side(tmp_path: Path, demonstrations: Path) -
     moved = {name: (alone[name] - usual[name]).abs().mean() for name in alone}
     other = _weights(tmp_path / "both/s3")
     assert all(moved[k] < (alone[k] - other[k]).abs().mean() for k in alone if "weight" in k)
+
+
+def test_imitation_is_that_of_the_processor() -> None:
+    """With one pair to learn from, every batch is the same."""
+    robot, learner = load_robot("planar-single"), Cloning(hidden=(16,), bc_updates=150)
+    generator = torch.Generator().manual_seed(0)
+    seen = torch.randn(1, observation_size(robot), generator=generator)
+    command = -0.01 * torch.rand(1, robot.num_cables, generator=generator)
+    torch.manual_seed(3)
+    usual = Actor(robot, False, learner.hidden, "tanh")
+    layers = side_by_side([stacked_actor(usual)], CPU)
+    shown = bc.pairs(usual, seen, command)
+    bc.imitate(usual, learner, seen, command, generator, lambda *_: None)
+    imitate(layers, torch.tanh, learner, shown, [0], 3, lambda *_: None)
+    for ours, theirs in zip(parameters(layers), parameters(stacked_actor(usual)), strict=True):
+        torch.testing.assert_close(ours[0], theirs, rtol=1e-3, atol=1e-5)
+
+
+def test_metrics_are_means_since_they_were_taken(tmp_path: Path, demonstrations: Path) -> None:
+    config = _config(tmp_path / "run", demonstrations, "td3wd", numbers={"policy_delay": 2})
+    parts = make_parts([Setup(config)], CPU)
+    for update in (1, 2, 3, 4):
+        parts.learner.collector.step()
+        parts.learner.update(update)
+        total = parts.learner.totals["critic_loss"].item()
+        if update == 1:
+            first = parts.learner.take_metrics()[0]
+            assert first["critic_loss"] == pytest.approx(total, rel=1e-6)
+            assert "actor_loss" not in first
+    found = parts.learner.take_metrics()[0]
+    assert found["critic_loss"] == pytest.approx(total / 3, rel=1e-6)
+    assert parts.learner.take_metrics() == [{}]
+    parts.close()
 
 
 def test_runs_resume_to_the_bit(tmp_path: Path, demonstrations: Path) -> None:
