@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 import torch
 from numpy.typing import NDArray
+from scipy import stats
 
 from cdcsr.robot.description import load_robot
 from cdcsr.tasks.catalogue import make_task
@@ -38,7 +39,7 @@ TASKS = {
 
 
 def _filled(
-    task: Task, rows: int, hindsight: int = 4
+    task: Task, rows: int, hindsight: int = 4, stride: float = 0.012
 ) -> tuple[HindsightReplay, dict[float, tuple[int, int]], list[NDArray[np.float64]]]:
     """Return a replay of random walks, where each row is (episode, number), and the episodes."""
     rng, empty = np.random.default_rng(0), Replay(1, *SIZES, DISCOUNT, RETURN_STEPS)
@@ -50,7 +51,7 @@ def _filled(
     tip = np.zeros((COPIES, 3))
     for step in range(STEPS):
         seen = rng.normal(size=(COPIES, SIZES[0])).astype(np.float32).astype(np.float64)
-        tip += 0.012 * rng.normal(size=(COPIES, 3))
+        tip += stride * rng.normal(size=(COPIES, 3))
         seen[:, TIP_POSITION], seen[:, TIP_VELOCITY] = tip, 0.15 * rng.normal(size=(COPIES, 3))
         seen[:, BASE_POSITION] = 0.001 * rng.normal(size=(COPIES, 3))
         seen[:, BASE_QUATERNION] = [1.0, 0.0, 0.0, 0.0]
@@ -134,3 +135,17 @@ def test_one_copy_is_half_of_what_is_drawn() -> None:
         episode, number = place[float(seen[MARK])]
         own += np.abs(seen[TARGET] - episodes[episode][number, TARGET]).max() < 1e-6
     assert 0.5 < own / 2000 < 0.7  # half, and those that cannot be moved
+
+
+def test_new_targets_fill_a_ball() -> None:
+    task = TASKS["reach"]
+    replay, place, episodes = _filled(task, STEPS, stride=1.0)  # so far that the tip is known
+    shares = []
+    for seen in replay.sample(1500, Streams([5], CPU)).observation[0].numpy():
+        episode, number = place[float(seen[MARK])]
+        if np.abs(seen[TARGET] - episodes[episode][number, TARGET]).max() > 1e-6:
+            tips = episodes[episode][:, TIP_POSITION]
+            nearest = np.linalg.norm(tips - seen[TARGET], axis=1).min()
+            shares.append((nearest / task.threshold) ** 3)
+    assert len(shares) > 800
+    assert stats.kstest(shares, "uniform").pvalue > 1e-3
