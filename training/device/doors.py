@@ -133,9 +133,12 @@ class _HostState(NamedTuple):
 
 
 def open_door(simulation: Simulation, device: torch.device) -> Door:
-    """Return the engine's own door, if it has one, or one through NumPy's arrays."""
+    """Return the engine's own door, if it has one on this device, or one through NumPy's arrays."""
     if hasattr(simulation, "device_state"):
-        return cast(Door, simulation)
+        door = cast(Door, simulation)
+        there = door.device_state().tip_position.device
+        if there.type == device.type and (there.index or 0) == (device.index or 0):
+            return door
     return HostDoor(simulation, device)
 
 

@@ -50,7 +50,7 @@ class DeviceLearner:
         collector: has begun.
         replay: what it fills.
         encoder: of the runs' actors.
-        shown: for RBL the demonstrations, encoded, and their actions.
+        shown: the demonstrations, encoded, and their actions, if the replay begins with them.
         seeds: of the runs.
         device: where everything is.
 
@@ -80,12 +80,13 @@ class DeviceLearner:
 
     @property
     def ready(self) -> bool:
-        """Whether a batch can be drawn: from rows that were there, or from complete episodes."""
-        # Every copy has completed an episode after the longest one and the step that ends it.
-        return (
-            self._replay.prefilled >= self.learner.batch_size
-            or self.collector.steps > self._longest + 1
-        )
+        """Whether a batch can be drawn: from demonstrations, or from complete episodes.
+
+        Every copy has completed an episode after the longest one and the step that ends it. What
+        clones reached does not count, as it differs from run to run.
+        """
+        shown = 0 if self._shown is None else len(self._shown[0])
+        return shown >= self.learner.batch_size or self.collector.steps > self._longest + 1
 
     @property
     def policy(self) -> list[Layer]:

@@ -106,11 +106,6 @@ class DeviceReplay:
         one = {"time": (), "age": (run,), "count": (run,)}
         return {name: x[one.get(name, (slice(None), run))] for name, x in self.tensors.items()}
 
-    @property
-    def prefilled(self) -> int:
-        """How many rows every run had at least from the start."""
-        return int(self._num_kept.min())
-
     def write(self, step: Step) -> None:
         """Store what is known of a step before it is made."""
         rows = self.tensors

@@ -128,6 +128,21 @@ def load_state(path: Path, parts: Parts) -> Counters:
     return meta["counters"]
 
 
+def read_meta(path: Path) -> JsonObject:
+    """Return the plain data in a file that :func:`write_state` wrote, without its tensors.
+
+    Raises:
+        CdcsrError: it is damaged.
+    """
+    try:
+        with safe_open(path, framework="pt") as file:
+            return json.loads(file.metadata()[_META])
+    except (OSError, SafetensorError, KeyError, ValueError, TypeError) as error:
+        raise CdcsrError(
+            f"The saved state {path} is damaged ({type(error).__name__}); start anew with --force."
+        ) from None
+
+
 @contextmanager
 def reading_state(path: Path, robot: Robot) -> Iterator[tuple[dict[str, torch.Tensor], JsonObject]]:
     """Read what :func:`write_state` wrote; what goes wrong inside means that it is damaged.

@@ -61,11 +61,11 @@ class DeviceParts(NamedTuple):
         self.trial.close()
 
 
-def check_device(setup: Setup) -> None:
-    """Check that a run asks for nothing that only `--device cpu` can do.
+def check_device(setup: Setup, runs: int, device: torch.device) -> None:
+    """Check that so many runs ask for nothing that only `--device cpu` can do, and that they fit.
 
     Raises:
-        CdcsrError: it does.
+        CdcsrError: they do, or they do not fit into the device's memory.
     """
     config, learner = setup.config, setup.learner
     kind = find_algorithm(config.algorithm).learner
@@ -79,10 +79,12 @@ def check_device(setup: Setup) -> None:
             f"capacity must be at least {least} with device cuda, where every one of "
             f"{learner.num_envs} environments stores its last episode; found {learner.capacity}."
         )
-    if learner.hindsight and (kind.uses_clone or learner.symmetry or not task.ends):
+    odd = kind.uses_clone or learner.symmetry or not task.ends or kind.reward != "sparse"
+    if learner.hindsight and odd:
         raise CdcsrError(
-            f"hindsight must be 0 with device cuda for algorithms with a clone, with symmetry and "
-            f"for tasks that do not end; found {learner.hindsight}. Choose device cpu."
+            f"hindsight must be 0 with device cuda for algorithms with a clone or a dense reward, "
+            f"with symmetry and for tasks that do not end; found {learner.hindsight}. Choose "
+            "device cpu."
         )
     for name, value, only in (
         ("bfloat16", learner.bfloat16, False),
@@ -95,6 +97,20 @@ def check_device(setup: Setup) -> None:
                 f"{name} must be {only} with device cuda, which knows nothing else; found {value}. "
                 "Choose device cpu."
             )
+    check_memory(
+        f"{runs} replays of {learner.capacity:,} rows",
+        DeviceReplay.memory(*_extent(setup, learner, runs)),
+        "lower --learner.capacity, or name fewer seeds",
+        None if device.type == "cpu" else torch.cuda.mem_get_info(device)[0],
+    )
+
+
+def _extent(
+    setup: Setup, learner: BackboneNumbers, runs: int
+) -> tuple[tuple[int, int, int], tuple[int, int]]:
+    """Return the shape of the replay, and the numbers of an observation and of an action."""
+    shape = runs, learner.num_envs, learner.capacity // learner.num_envs
+    return shape, (observation_size(setup.robot), setup.robot.num_cables)
 
 
 def make_parts(setups: Sequence[Setup], device: torch.device) -> DeviceParts:
@@ -103,14 +119,7 @@ def make_parts(setups: Sequence[Setup], device: torch.device) -> DeviceParts:
     assert kind is not None
     assert isinstance(learner, BackboneNumbers)
     robot, seeds = setups[0].robot, [setup.config.seed for setup in setups]
-    shape = len(seeds), learner.num_envs, learner.capacity // learner.num_envs
-    sizes = observation_size(robot), robot.num_cables
-    check_memory(
-        f"{len(seeds)} replays of {learner.capacity:,} rows",
-        DeviceReplay.memory(shape, sizes),
-        "lower --learner.capacity, or name fewer seeds",
-        None if device.type == "cpu" else torch.cuda.mem_get_info(device)[0],
-    )
+    shape, sizes = _extent(setups[0], learner, len(seeds))
     algorithms = []
     for setup in setups:  # each has the weights that it would have alone
         torch.manual_seed(setup.config.seed)

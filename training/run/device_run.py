@@ -11,6 +11,8 @@ import time
 from collections.abc import Sequence
 from contextlib import ExitStack
 from functools import partial
+from importlib import import_module
+from pathlib import Path
 
 import numpy as np
 import torch
@@ -26,13 +28,15 @@ from training.device.trial import Outcome
 from training.measure.evaluation import Result
 from training.networks.actor import Actor
 from training.policy import Policy, load_policy
-from training.run.checkpoint import reading_state, write_state
+from training.run.checkpoint import read_meta, reading_state, write_state
 from training.run.device_parts import DeviceParts, check_device, make_clones, make_parts
 from training.run.metrics import Metrics
 from training.run.setup import Setup
 from training.run.trackers import start_tracker
 from training.run.train_options import RUN_FOLDER, STATE, SUMMARY, Train, read_older
 
+NEXT = "state.next.safetensors"
+"""A checkpoint that is complete and waits until those of the runs beside it are, too."""
 SAVE_EVERY = 60.0
 """Time between checkpoints, in [s]: their replays may have gigabytes, and a GPU is fast."""
 
@@ -49,16 +53,18 @@ def train_on_device(config: Train, device: torch.device) -> list[Policy]:
         raise CdcsrError("PyTorch finds no GPU for device cuda here; choose device cpu.")
     torch.set_num_threads(1)
     setups = [Setup(one) for one in config.each_seed()]
-    check_device(setups[0])
+    check_device(setups[0], len(setups), device)
+    if config.track:
+        import_module(config.track)  # one that is missing should be told before the work
     with ExitStack() as held:
         for setup in setups:
             one, identity = setup.config, setup.identity()
             older = partial(read_older, run=one, now=identity, path=one.out / RUN_FOLDER.record)
             held.enter_context(RUN_FOLDER.claim(one.out, identity, older, one.force))
         policies = DeviceRuns(setups, device).carry_out()
-        if config.json is not None:
-            paths = [setup.config.out / SUMMARY for setup in setups]
-            summaries = [read_json(path) for path in paths if path.exists()]
+        paths = [setup.config.out / SUMMARY for setup in setups]
+        if config.json is not None and all(path.exists() for path in paths):
+            summaries = [read_json(path) for path in paths]
             write_json(config.json, summaries[0] if config.seeds is None else {"runs": summaries})
     return policies
 
@@ -76,7 +82,6 @@ class DeviceRuns:
 
     def __init__(self, setups: Sequence[Setup], device: torch.device) -> None:
         self.setups, self.device = setups, device
-        check_device(setups[0])
         self._folders = [setup.config.out for setup in setups]
         self._started, self._minutes_before = time.monotonic(), 0.0
         self._saved = self._started
@@ -86,19 +91,20 @@ class DeviceRuns:
         finished = [(folder / SUMMARY).exists() for folder in self._folders]
         if all(finished):
             for folder in self._folders:
+                (folder / STATE).unlink(missing_ok=True)  # left if it was killed at its very end
                 print(f"{folder} is a finished run; give --force to begin anew.")
             return [load_policy(folder) for folder in self._folders]
-        if any(finished):
-            raise CdcsrError(
-                f"Of these runs {sum(finished)} of {len(finished)} are finished; name the seeds of "
-                "the others."
-            )
+        if any(finished):  # the process was killed at the end; only the others are left
+            left = [one for one, done in zip(self.setups, finished, strict=True) if not done]
+            DeviceRuns(left, self.device).carry_out()
+            return [load_policy(folder) for folder in self._folders]
         for setup in self.setups[1:]:
             setup.episodes = self.setups[0].episodes  # demonstrations do not depend on the seed
         learner = self.setups[0].learner
         if not isinstance(learner, BackboneNumbers):  # supervised
             return self._finish(make_clones(self.setups, self.device), 0, 0)
         self._learner = learner
+        self._settle()
         parts = make_parts(self.setups, self.device)
         try:
             return self._learn(parts)
@@ -188,8 +194,7 @@ class DeviceRuns:
         return Result(success, length, distance, parts.trial.targets, lost)
 
     def _save(self, parts: DeviceParts, update: int) -> None:
-        """Write a checkpoint of every run."""
-        self._saved = time.monotonic()
+        """Write a checkpoint of every run: all of them are replaced, or none."""
         arrays, copies = snapshot_arrays(parts.simulation), self._learner.num_envs
         for run, setup in enumerate(self.setups):
             tensors = {name: x.cpu().clone() for name, x in parts.learner.views(run).items()}
@@ -198,7 +203,26 @@ class DeviceRuns:
             counters = {"update": update, "minutes": self._minutes()}
             counters["steps"] = parts.learner.collector.steps
             meta = {"counters": counters, "device": True}
-            write_state(setup.config.out / STATE, tensors, meta, setup.robot)
+            write_state(setup.config.out / NEXT, tensors, meta, setup.robot)
+        for folder in self._folders:
+            (folder / NEXT).replace(folder / STATE)
+        self._saved = time.monotonic()
+
+    def _settle(self) -> None:
+        """Finish or undo checkpoints during which the process was killed.
+
+        Once all are written they are put in place, one after the other. So where one is in place,
+        all are complete; else some may be missing.
+        """
+        waiting = [folder for folder in self._folders if (folder / NEXT).exists()]
+        updates = {_update_of(folder / NEXT) for folder in waiting}
+        others = [folder / STATE for folder in self._folders if folder not in waiting]
+        complete = all(path.exists() and _update_of(path) in updates for path in others)
+        for folder in waiting:
+            if complete:
+                (folder / NEXT).replace(folder / STATE)
+            else:
+                (folder / NEXT).unlink()
 
     def _resume(self, parts: DeviceParts) -> int:
         """Put the runs back to their checkpoints, if they have some.
@@ -269,6 +293,11 @@ class DeviceRuns:
 
     def _minutes(self) -> float:
         return self._minutes_before + (time.monotonic() - self._started) / 60
+
+
+def _update_of(path: Path) -> int:
+    """Return after how many updates a checkpoint was written."""
+    return int(read_meta(path)["counters"]["update"])
 
 
 def _totals(parts: DeviceParts) -> dict[str, list[int]]:

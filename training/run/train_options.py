@@ -26,6 +26,7 @@ RUN_FOLDER = WorkingFolder(
     results=(
         SUMMARY,
         STATE,
+        "state.next.safetensors",
         "metrics.csv",
         "policy.json",
         "policy.safetensors",
@@ -80,6 +81,8 @@ class Train(RunDescription):
             raise CdcsrError(unknown_choice("device", self.device, ["cpu", "cuda"]))
         if self.seeds is not None and self.device == "cpu":
             raise CdcsrError("seeds needs device cuda; with device cpu start a run for each seed.")
+        if self.seeds is not None and self.seed != 0:
+            raise CdcsrError(f"Give seed or seeds; found seed {self.seed}, seeds {self.seeds!r}.")
 
     def each_seed(self) -> list[Self]:
         """Return the run of each seed, in a folder of its own if `seeds` is given.

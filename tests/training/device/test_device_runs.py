@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import json
+import shutil
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -138,6 +139,17 @@ def test_metrics_are_means_since_they_were_taken(tmp_path: Path, demonstrations:
     parts.close()
 
 
+def test_seed_and_seeds_exclude_each_other(tmp_path: Path, demonstrations: Path) -> None:
+    with pytest.raises(CdcsrError, match="Give seed or seeds"):
+        _config(tmp_path / "run", demonstrations, seed=7, seeds="0:2")
+
+
+def test_a_stopped_run_has_no_summary(tmp_path: Path, demonstrations: Path) -> None:
+    path = tmp_path / "summary.json"
+    train_on_device(_config(tmp_path / "run", demonstrations, stop_after=0.0, json=path), CPU)
+    assert not path.exists()
+
+
 def test_runs_resume_to_the_bit(tmp_path: Path, demonstrations: Path) -> None:
     whole = _config(tmp_path / "whole", demonstrations, seeds="0:2")
     train_on_device(whole, CPU)
@@ -158,8 +170,42 @@ def test_a_run_of_several_can_go_on_alone(tmp_path: Path, demonstrations: Path) 
     both = _config(tmp_path / "runs", demonstrations, seeds="0:2", stop_after=0.0)
     train_on_device(both, CPU)
     train_on_device(_config(tmp_path / "runs/s0", demonstrations, seed=0), CPU)
-    with pytest.raises(CdcsrError, match="1 of 2 are finished"):
-        train_on_device(both, CPU)
+    train_on_device(_config(tmp_path / "runs", demonstrations, seeds="0:2"), CPU)
+    train_on_device(_config(tmp_path / "whole", demonstrations, seeds="0:2"), CPU)
+    for name, weights in _weights(tmp_path / "whole/s1").items():
+        torch.testing.assert_close(
+            weights, _weights(tmp_path / "runs/s1")[name], rtol=1e-3, atol=1e-4
+        )
+
+
+@pytest.mark.parametrize("moved", [0, 1])
+def test_a_kill_between_checkpoints_loses_none(
+    moved: int, tmp_path: Path, demonstrations: Path
+) -> None:
+    """Either all runs have the new checkpoint, or all have the one before."""
+    stopping = _config(tmp_path / "runs", demonstrations, seeds="0:2", stop_after=0.0)
+    train_on_device(stopping, CPU)
+    state, waiting = "state.safetensors", "state.next.safetensors"
+    old = (tmp_path / "runs/s1" / state).read_bytes()
+    train_on_device(stopping, CPU)  # two updates
+    new = tmp_path / "runs/s1" / state
+    if moved:  # s0 was put in place, s1 was not
+        new.rename(new.with_name(waiting))
+        new.write_bytes(old)
+    else:  # s0 was written and waits, s1 was not written
+        new.write_bytes(old)
+        first = tmp_path / "runs/s0" / state
+        shutil.copy(first, first.with_name(waiting))
+        first.unlink()
+        (tmp_path / "spare").mkdir()
+        train_on_device(
+            _config(tmp_path / "spare", demonstrations, seeds="0:2", stop_after=0.0), CPU
+        )
+        shutil.copy(tmp_path / "spare/s0" / state, first)
+    train_on_device(stopping, CPU)
+    done = load_policy(tmp_path / "runs/s1").card["unfinished"]["update"]
+    assert done == (3 if moved else 2)
+    assert not list((tmp_path / "runs").rglob(waiting))
 
 
 @pytest.mark.parametrize(
@@ -170,6 +216,7 @@ def test_a_run_of_several_can_go_on_alone(tmp_path: Path, demonstrations: Path) 
         ({"numbers": {"hindsight": 2}}, "hindsight must be 0 with device cuda for algorithms with"),
         ({"numbers": {"capacity": 100}}, "capacity must be at least 108 with device cuda"),
         ({"seeds": "3"}, "seeds must be like 0:10"),
+        ({"algorithm": "drldr", "numbers": {"hindsight": 2}}, "hindsight must be 0 with device"),
         ({"seeds": "3:3"}, "the number of seeds must be a whole number from 1"),
     ],
 )
