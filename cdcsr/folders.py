@@ -119,20 +119,37 @@ class WorkingFolder:
             CdcsrError: the folder holds something else, or cannot be made.
             Busy: another process works there.
         """
+        with self.hold(folder, identity, older, force) as begin:
+            begin()
+            yield
+
+    @contextmanager
+    def hold(
+        self,
+        folder: Path,
+        identity: Mapping[str, object] | None = None,
+        older: Callable[[dict[str, object]], dict[str, object]] | None = None,
+        force: bool = False,
+    ) -> Iterator[Callable[[], None]]:
+        """Do as :meth:`claim`, but delete nothing and write no record before what is yielded is
+        called; so several folders can be held before any of them changes."""
         self.check(folder, identity, older, force)
         with lock(folder / ".lock"):
             for place in (folder, *(each for each in folder.rglob("*") if each.is_dir())):
                 sweep(place)
             # Again, as the process that held the lock may have changed what is there.
             self.check(folder, identity, older, force)
-            if force:
-                self._delete_results(folder)
-            record = folder / self.record
-            if identity is not None:
-                write_json(record, sealed(identity))
-            elif not record.exists():
-                write_json(record, sealed({}))
-            yield
+
+            def begin() -> None:
+                if force:
+                    self._delete_results(folder)
+                record = folder / self.record
+                if identity is not None:
+                    write_json(record, sealed(identity))
+                elif not record.exists():
+                    write_json(record, sealed({}))
+
+            yield begin
 
     def check(
         self,

@@ -41,6 +41,11 @@ class WarpOptions(EngineOptions):
     device: str = Field("auto", pattern=r"^(auto|cpu|cuda(:\d+)?)$")
     """Where the copies are: cuda, cuda:1 for another GPU, cpu; auto takes a GPU if there is one."""
 
+    @property
+    def free_memory(self) -> float | None:
+        device = choose_device(self.device)
+        return float(device.free_memory) if device.is_cuda else None
+
 
 @taking_turns
 class WarpSimulation(Simulation):

@@ -35,20 +35,22 @@ def check_count(name: str, found: object, most: int, least: int = 1) -> None:
         raise CdcsrError(f"{name} must be a whole number from {least} to {most}, not {found!r}.")
 
 
-def check_copies(num: int, engine: str, memory: float) -> None:
+def check_copies(num: int, engine: str, memory: float, free: float | None = None) -> None:
     """Check that a number of copies is in range, and that they fit into memory.
 
     Args:
         num: how many copies.
         engine: the engine's name.
         memory: about how much memory a copy takes there, in bytes.
+        free: how many bytes there are; None for what this process may still take.
 
     Raises:
         CdcsrError: they do not.
     """
     check_count("The number of copies", num, MOST_COPIES)
     needed = memory * num
-    check_memory(f"{num} copies in {engine}", needed, "take fewer copies or episodes at a time")
+    remedy = "take fewer copies or episodes at a time"
+    check_memory(f"{num} copies in {engine}", needed, remedy, free)
 
 
 def check_number(name: str, found: float, low: float, high: float) -> None:

@@ -75,9 +75,9 @@ class Simulation(ABC):
     """About how much memory a copy takes, in bytes."""
 
     def __init__(self, robot: Robot, num: int = 1, options: EngineOptions | None = None) -> None:
-        check_copies(num, self.engine, self.copy_memory)
-        self.robot, self.num = robot, num
         self.options = options or self.options_type()
+        check_copies(num, self.engine, self.copy_memory, self.options.free_memory)
+        self.robot, self.num = robot, num
         self.plant: Plant = Parameters().plant(robot, num)
         self.check_robot(robot, self.plant, self.options)
         self.loads = Loads(robot, num)

@@ -63,6 +63,11 @@ class EngineOptions(BaseModel):
         """How many steps of the engine make one time step of the robot."""
         return 1
 
+    @property
+    def free_memory(self) -> float | None:
+        """How many bytes there are for copies; None where they are in this process's memory."""
+        return None
+
 
 _UNKNOWN = "not declared"
 

@@ -14,6 +14,7 @@ from training.algorithms.registry import find_algorithm
 from training.config.run_description import Changes, RunDescription
 from training.networks.actor import Actor
 from training.policy import Policy
+from training.run.train_options import Train
 from training.study.declare.budgets import Budget
 from training.study.execute.jobs import Job
 
@@ -42,6 +43,28 @@ def tiny_changes(algorithm: str = "td3", **numbers: object) -> Changes:
     known = find_algorithm(algorithm).numbers.model_fields
     small = {name: value for name, value in TINY.items() if name in known}
     return tuple({**small, **numbers}.items())
+
+
+def tiny_device_run(
+    out: Path, demonstrations: Path, algorithm: str = "clasp", **options: Any
+) -> Train:
+    """Return a run of 80 updates with device cuda; `numbers` are those of the learner."""
+    usual = {
+        "space": "spatter",
+        "frame_skip": FRAME_SKIP,
+        "evaluate_every": 40,
+        "evaluate_episodes": 4,
+        "updates": 80,
+    }
+    numbers = options.pop("numbers", {})
+    return Train(
+        out=out,
+        demonstrations=demonstrations,
+        algorithm=algorithm,
+        device="cuda",
+        changes=tiny_changes(algorithm, **numbers),
+        **{**usual, **options},
+    )
 
 
 def untrained_policy(robot: Robot) -> Policy:

@@ -150,6 +150,7 @@ class DeviceLearner:
                     f"{name}.{i}.{key}": value[run] if value.dim() else value
                     for key, value in state.items()
                 }
-        found |= {f"replay.{name}": x for name, x in self._replay.views(run).items()}
+        stored = self._replay.views(run, self.collector.steps)
+        found |= {f"replay.{name}": x for name, x in stored.items()}
         found |= {f"collector.{name}": x for name, x in self.collector.views(run).items()}
         return found | {"drawn": self.draws.drawn}

@@ -101,10 +101,16 @@ class DeviceReplay:
         numbers = sizes[0] + 2 * sizes[1] + 2
         return math.prod(shape) * (4.0 * numbers + 8 + 3)
 
-    def views(self, run: int) -> dict[str, Tensor]:
-        """Return what changes of one run, as views, by name; `time` is that of all runs."""
+    def views(self, run: int, steps: int) -> dict[str, Tensor]:
+        """Return what changes of one run, as views, by name; `time` is that of all runs.
+
+        Args:
+            run: its number.
+            steps: how many were stored, as a number that waits for no device; later rows are empty.
+        """
         one = {"time": (), "age": (run,), "count": (run,)}
-        return {name: x[one.get(name, (slice(None), run))] for name, x in self.tensors.items()}
+        rows = slice(min(steps, self.shape[2])), run
+        return {name: x[one.get(name, rows)] for name, x in self.tensors.items()}
 
     def write(self, step: Step) -> None:
         """Store what is known of a step before it is made."""
@@ -174,8 +180,8 @@ class DeviceReplay:
         (runs, copies, steps), rows = self.shape, self.tensors
         filled = rows["time"].clamp(1, steps)
         flat = rows["begins"].view(-1)
-        tried = draws.below(copies * steps, _TRIES * size).view(runs, _TRIES, size)
-        row, copy = tried // copies % filled, tried % copies
+        tried = draws.below(copies * filled, _TRIES * size).view(runs, _TRIES, size)
+        row, copy = tried // copies, tried % copies
         place = (row * runs + self.run[..., None]) * copies + copy
         begins = flat[place].to(torch.int8)
         first, found = begins.argmax(1, keepdim=True), begins.amax(1)

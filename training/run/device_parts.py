@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import gc
 from collections.abc import Sequence
 from copy import deepcopy
 from dataclasses import replace
+from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
@@ -16,8 +18,9 @@ from tqdm import tqdm
 
 from cdcsr.errors import CdcsrError
 from cdcsr.memory import check_memory
+from cdcsr.simulation.arguments import MOST_COPIES
 from cdcsr.simulation.contract import Simulation
-from cdcsr.simulation.engines import make_simulation
+from cdcsr.simulation.engines import load_backend, make_simulation
 from cdcsr.tasks.catalogue import actions_per_episode, make_task
 from cdcsr.tasks.observation import observation_size
 from cdcsr.tasks.spaces import Space, make_space, wider_targets
@@ -38,8 +41,9 @@ from training.experience.mixed_replay import MixedReplay
 from training.experience.replay import Replay
 from training.networks.actor import Actor
 from training.policy import load_policy
+from training.run.checkpoint import reading_state, write_state
 from training.run.setup import Setup
-from training.run.train_options import STATE
+from training.run.train_options import FIRST, STATE
 
 _CLONE, _START = 3, 4
 """Purposes of random numbers."""
@@ -97,12 +101,34 @@ def check_device(setup: Setup, runs: int, device: torch.device) -> None:
                 f"{name} must be {only} with device cuda, which knows nothing else; found {value}. "
                 "Choose device cpu."
             )
+    for name, copies in (
+        ("num_envs", learner.num_envs),
+        ("evaluate_episodes", config.evaluate_episodes),
+    ):
+        if runs * copies > MOST_COPIES:
+            raise CdcsrError(
+                f"{runs} seeds side by side have {runs * copies:,} copies with {name} {copies:,}, "
+                f"and at most {MOST_COPIES:,} are possible; name fewer seeds, or lower {name}."
+            )
+    engine = load_backend(config.backend)
+    needed = DeviceReplay.memory(*_extent(setup, learner, runs))
+    if hasattr(engine, "device_state"):  # its copies are there, too
+        needed += runs * (learner.num_envs + config.evaluate_episodes) * engine.copy_memory
     check_memory(
-        f"{runs} replays of {learner.capacity:,} rows",
-        DeviceReplay.memory(*_extent(setup, learner, runs)),
+        f"{runs} replays of {learner.capacity:,} rows with their copies",
+        needed,
         "lower --learner.capacity, or name fewer seeds",
-        None if device.type == "cpu" else torch.cuda.mem_get_info(device)[0],
+        _free_memory(device),
     )
+
+
+def _free_memory(device: torch.device) -> float | None:
+    """Return how many bytes a GPU has free; None for a processor."""
+    if device.type == "cpu":
+        return None
+    gc.collect()
+    torch.cuda.empty_cache()  # what earlier runs of this process took and no longer need
+    return float(torch.cuda.mem_get_info(device)[0])
 
 
 def _extent(
@@ -141,9 +167,10 @@ def make_parts(setups: Sequence[Setup], device: torch.device) -> DeviceParts:
     episodes = setups[0].config.evaluate_episodes
     simulation = make_simulation(robot, setups[0].config.backend, len(seeds) * learner.num_envs)
     rows = shape, sizes, env.max_actions, learner.discount, learner.return_steps, kept, device
-    replay = DeviceReplay(*rows)
     if learner.hindsight:
         replay = HindsightReplay(env.task, learner.hindsight, *rows)
+    else:
+        replay = DeviceReplay(*rows)
     door = open_door(simulation, device)
     collector = DeviceCollector(door, work, learner, seeds, module, replay, device)
     cloned = None if clones is None else side_by_side([stacked_actor(x) for x in clones], device)
@@ -212,7 +239,11 @@ def _space(setup: Setup, learner: BackboneNumbers) -> Space:
 def _prefilled(
     setup: Setup, actor: Actor, clone: Actor | None, work: Work, learner: BackboneNumbers
 ) -> Replay:
-    """Return the replay that a run begins with."""
+    """Return the replay that a run begins with; a run that goes on has it in a file."""
+
+    path = setup.config.out / FIRST
+    if path.exists():
+        return _read_first(path, setup, learner)
 
     def actions(observations: NDArray[np.float64]) -> NDArray[np.float32]:
         assert clone is not None
@@ -226,4 +257,20 @@ def _prefilled(
     small = learner.changed(capacity=needed)
     replay = MixedReplay(setup.robot, work.task, small, known, share)
     replay.prefill(episodes)
-    return replay.buffers["kept" if share > 0 else "replay"]
+    filled = replay.buffers["kept" if share > 0 else "replay"]
+    rows = {name: torch.from_numpy(x[: filled.size]) for name, x in filled.rows.items()}
+    if filled.size:
+        write_state(path, rows, {}, setup.robot)
+    return filled
+
+
+def _read_first(path: Path, setup: Setup, learner: BackboneNumbers) -> Replay:
+    """Read the replay with which a run began: engines on a GPU do not repeat it to the bit."""
+    with reading_state(path, setup.robot) as (tensors, _):
+        sizes = observation_size(setup.robot), setup.robot.num_cables
+        num = len(tensors["reward"])
+        found = Replay(num, *sizes, learner.discount, learner.return_steps)
+        found.size = num
+        for name, rows in found.rows.items():
+            rows[:] = tensors[name].numpy()
+    return found

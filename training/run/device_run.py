@@ -8,7 +8,7 @@ checkpoint was; on a processor to the bit, on a GPU up to the order in which it 
 from __future__ import annotations
 
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from contextlib import ExitStack
 from functools import partial
 from importlib import import_module
@@ -33,7 +33,7 @@ from training.run.device_parts import DeviceParts, check_device, make_clones, ma
 from training.run.metrics import Metrics
 from training.run.setup import Setup
 from training.run.trackers import start_tracker
-from training.run.train_options import RUN_FOLDER, STATE, SUMMARY, Train, read_older
+from training.run.train_options import FIRST, RUN_FOLDER, STATE, SUMMARY, Train, read_older
 
 NEXT = "state.next.safetensors"
 """A checkpoint that is complete and waits until those of the runs beside it are, too."""
@@ -56,11 +56,14 @@ def train_on_device(config: Train, device: torch.device) -> list[Policy]:
     check_device(setups[0], len(setups), device)
     if config.track:
         import_module(config.track)  # one that is missing should be told before the work
+    begin: list[Callable[[], None]] = []
     with ExitStack() as held:
         for setup in setups:
             one, identity = setup.config, setup.identity()
             older = partial(read_older, run=one, now=identity, path=one.out / RUN_FOLDER.record)
-            held.enter_context(RUN_FOLDER.claim(one.out, identity, older, one.force))
+            begin.append(held.enter_context(RUN_FOLDER.hold(one.out, identity, older, one.force)))
+        for each in begin:  # nothing is deleted before all folders are held
+            each()
         policies = DeviceRuns(setups, device).carry_out()
         paths = [setup.config.out / SUMMARY for setup in setups]
         if config.json is not None and all(path.exists() for path in paths):
@@ -85,13 +88,14 @@ class DeviceRuns:
         self._folders = [setup.config.out for setup in setups]
         self._started, self._minutes_before = time.monotonic(), 0.0
         self._saved = self._started
+        self._counted = 0, self._started
 
     def carry_out(self) -> list[Policy]:
         """Do what is left of the runs; return their policies."""
         finished = [(folder / SUMMARY).exists() for folder in self._folders]
         if all(finished):
             for folder in self._folders:
-                (folder / STATE).unlink(missing_ok=True)  # left if it was killed at its very end
+                _tidy(folder)  # in case it was killed at its very end
                 print(f"{folder} is a finished run; give --force to begin anew.")
             return [load_policy(folder) for folder in self._folders]
         if any(finished):  # the process was killed at the end; only the others are left
@@ -105,6 +109,11 @@ class DeviceRuns:
             return self._finish(make_clones(self.setups, self.device), 0, 0)
         self._learner = learner
         self._settle()
+        if len(groups := self._groups()) > 1:
+            print("The runs stand at different updates; those at the same one go on together.")
+            for group in groups:
+                DeviceRuns(group, self.device).carry_out()
+            return [load_policy(folder) for folder in self._folders]
         parts = make_parts(self.setups, self.device)
         try:
             return self._learn(parts)
@@ -116,7 +125,7 @@ class DeviceRuns:
         learner, numbers, config = parts.learner, self._learner, self.setups[0].config
         done_before, stopped = self._resume(parts), False
         tables = [self._table(setup, done_before) for setup in self.setups]
-        seen = _totals(parts)
+        seen, self._counted = _totals(parts), (done_before, time.monotonic())
         with tqdm(
             total=numbers.updates,
             initial=done_before,
@@ -161,6 +170,7 @@ class DeviceRuns:
     ) -> list[dict[str, float]]:
         """Measure and save every run's policy as it is now; return their rows of metrics."""
         rows, now, losses = [], _totals(parts), parts.learner.take_metrics()
+        (before, since), measured = self._counted, time.monotonic()
         outcome = Outcome(*(part.cpu() for part in parts.trial.run(parts.learner.policy)))
         steps = parts.learner.collector.steps * self._learner.num_envs
         unfinished = {"update": update, "of": self._learner.updates}
@@ -176,7 +186,9 @@ class DeviceRuns:
             if episodes := now["episodes"][run] - seen["episodes"][run]:
                 successes = now["successes"][run] - seen["successes"][run]
                 row["train_success"] = successes / episodes
+            row["updates_per_second"] = (update - before) / max(1e-9, measured - since)
             rows.append(row | losses[run])
+        self._counted = update, time.monotonic()
         rates = [row["success_rate"] for row in rows]
         lowest = f" (lowest {min(rates):.2f})" if len(rates) > 1 else ""
         tqdm.write(
@@ -197,13 +209,12 @@ class DeviceRuns:
         """Write a checkpoint of every run: all of them are replaced, or none."""
         arrays, copies = snapshot_arrays(parts.simulation), self._learner.num_envs
         for run, setup in enumerate(self.setups):
-            tensors = {name: x.cpu().clone() for name, x in parts.learner.views(run).items()}
+            tensors = {name: x.cpu() for name, x in parts.learner.views(run).items()}
             own = slice(run * copies, (run + 1) * copies)
             tensors |= {f"engine.{k}": torch.from_numpy(x[own]) for k, x in arrays.items()}
             counters = {"update": update, "minutes": self._minutes()}
             counters["steps"] = parts.learner.collector.steps
-            meta = {"counters": counters, "device": True}
-            write_state(setup.config.out / NEXT, tensors, meta, setup.robot)
+            write_state(setup.config.out / NEXT, tensors, {"counters": counters}, setup.robot)
         for folder in self._folders:
             (folder / NEXT).replace(folder / STATE)
         self._saved = time.monotonic()
@@ -224,41 +235,44 @@ class DeviceRuns:
             else:
                 (folder / NEXT).unlink()
 
+    def _groups(self) -> list[list[Setup]]:
+        """Return the runs by the update at which they stand: those of one list go on together."""
+        groups: dict[int, list[Setup]] = {}
+        for setup, folder in zip(self.setups, self._folders, strict=True):
+            path = folder / STATE
+            groups.setdefault(_update_of(path) if path.exists() else 0, []).append(setup)
+        return list(groups.values())
+
     def _resume(self, parts: DeviceParts) -> int:
-        """Put the runs back to their checkpoints, if they have some.
+        """Put the runs, which stand at the same update, back to their checkpoints.
 
         Returns:
-            The number of updates that are done.
+            The number of updates that are done, 0 without checkpoints.
 
         Raises:
-            CdcsrError: a checkpoint is damaged, or they are of different updates.
+            CdcsrError: a checkpoint is damaged.
         """
-        paths = [folder / STATE for folder in self._folders]
-        if not any(path.exists() for path in paths):
-            return 0
+        paths, learner, update = [folder / STATE for folder in self._folders], parts.learner, 0
         arrays: list[dict[str, torch.Tensor]] = []
-        found: dict[int, str] = {}
         for run, path in enumerate(paths):
             if not path.exists():
-                found[0] = str(path.parent)
-                continue
+                return 0
             with reading_state(path, self.setups[run].robot) as (tensors, meta):
-                if not meta.get("device"):
-                    raise CdcsrError(f"{path} is of a run with device cpu; go on with that.")
-                for name, view in parts.learner.views(run).items():
-                    view.copy_(tensors[name])
-                arrays.append(
-                    {k.removeprefix("engine."): x for k, x in tensors.items() if "engine." in k}
-                )
                 counters = meta["counters"]
-                found[counters["update"]] = str(path.parent)
-                parts.learner.collector.resume(counters["steps"])
-                self._minutes_before = counters["minutes"]
-        if len(found) > 1:
-            raise CdcsrError(f"Resume runs together that stand at the same update; found {found}.")
+                learner.collector.resume(counters["steps"])
+                views = learner.views(run)
+                for name, view in views.items():
+                    if (found := tensors[name].shape) != view.shape:
+                        raise ValueError(f"{name} has the shape {tuple(found)}")
+            for name, view in views.items():
+                view.copy_(tensors[name])
+            arrays.append(
+                {k.removeprefix("engine."): x for k, x in tensors.items() if "engine." in k}
+            )
+            update, self._minutes_before = counters["update"], counters["minutes"]
         engine = {k: torch.cat([one[k] for one in arrays]).numpy() for k in arrays[0]}
-        restore(parts.simulation, parts.learner.collector.door, engine)
-        return next(iter(found))
+        restore(parts.simulation, learner.collector.door, engine)
+        return update
 
     def _finish(self, actors: Sequence[Actor], updates: int, steps: int) -> list[Policy]:
         """Save the policies and the summaries."""
@@ -277,7 +291,7 @@ class DeviceRuns:
             validation = setup.validate(policy).summary()
             summary = {"out": str(config.out), **policy.card, "validation": validation}
             write_json(config.out / SUMMARY, summary)
-            (config.out / STATE).unlink(missing_ok=True)
+            _tidy(config.out)
             print(
                 f"{policy.name}: success {validation['success_rate']:.2f}, length "
                 f"{validation['length_mean']:.1f} on {validation['episodes']} validation targets "
@@ -293,6 +307,12 @@ class DeviceRuns:
 
     def _minutes(self) -> float:
         return self._minutes_before + (time.monotonic() - self._started) / 60
+
+
+def _tidy(folder: Path) -> None:
+    """Delete what a finished run no longer needs."""
+    for name in (STATE, FIRST):
+        (folder / name).unlink(missing_ok=True)
 
 
 def _update_of(path: Path) -> int:

@@ -19,6 +19,8 @@ from training.run.trackers import TrackerName
 
 STATE, SUMMARY = "state.safetensors", "summary.json"
 """While a run is unfinished its folder holds the first; once it is finished, the second."""
+FIRST = "first.safetensors"
+"""The rows with which the replay of an unfinished run on a device began."""
 RUN_FOLDER = WorkingFolder(
     "a training run",
     record="config.json",
@@ -27,6 +29,7 @@ RUN_FOLDER = WorkingFolder(
         SUMMARY,
         STATE,
         "state.next.safetensors",
+        FIRST,
         "metrics.csv",
         "policy.json",
         "policy.safetensors",

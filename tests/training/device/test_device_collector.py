@@ -77,6 +77,7 @@ class _Collected:
         {"max_steps": 400, "threshold": 0.45, "symmetry": True},
         {"task": make_task("capture-tumble", PAPER, threshold=0.8, speed=0.8, max_steps=400)},
         {"task": "follow-circle", "max_steps": 300, "threshold": 0.6},
+        {"task": "follow-random", "max_steps": 200, "threshold": 0.6},
         {"reward": "dense", "max_steps": 300, "threshold": 0.4, "quiet": True},
     ],
 )
@@ -148,10 +149,10 @@ def test_a_run_collects_alone_what_it_collects_beside_others() -> None:
         for _ in range(30):
             each.collector.step()
         each.close()
-    for name, rows in alone.replay.views(0).items():
-        torch.testing.assert_close(both.replay.views(1)[name], rows)
+    for name, rows in alone.replay.views(0, 30).items():
+        torch.testing.assert_close(both.replay.views(1, 30)[name], rows)
     assert not torch.equal(
-        both.replay.views(0)["observation"], alone.replay.views(0)["observation"]
+        both.replay.views(0, 30)["observation"], alone.replay.views(0, 30)["observation"]
     )
     for one in (both, alone):
         one.close()

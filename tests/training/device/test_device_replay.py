@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 import torch
 from numpy.typing import NDArray
+from scipy.stats import chisquare
 
 from training.device.replay import DeviceReplay, Step
 from training.device.streams import Streams
@@ -87,6 +88,16 @@ def test_transitions_are_those_of_whole_episodes(steps: int) -> None:
         kept = {n for n in known if n > RUNS * COPIES * max(0, 300 - steps)}
         assert drawn == kept  # all of them, and none that is overwritten, incomplete or dropped
         assert int(replay.tensors["count"][run]) == len(kept)
+
+
+def test_all_transitions_are_drawn_alike_while_the_ring_fills() -> None:
+    replay = _device(500)
+    hosts = _fill(replay, 300)
+    drawn = replay.sample(40_000, Streams([1, 2], CPU)).observation[..., 0]
+    for run, host in enumerate(hosts):
+        known = torch.tensor(sorted(_known(host)))
+        times = torch.bincount(torch.searchsorted(known, drawn[run]), minlength=len(known))
+        assert chisquare(times.numpy()).pvalue > 1e-4
 
 
 def test_what_was_there_from_the_start_is_drawn_by_its_share() -> None:

@@ -14,9 +14,10 @@ import torch
 from safetensors.torch import load_file
 
 from cdcsr.errors import CdcsrError
+from cdcsr.locks import Busy, lock
 from cdcsr.robot.description import load_robot
 from cdcsr.tasks.observation import observation_size
-from tests.support.tiny import FRAME_SKIP, tiny_changes
+from tests.support.tiny import tiny_device_run
 from training.algorithms import bc
 from training.algorithms.reference_update import parameters
 from training.algorithms.registry import ALGORITHMS
@@ -42,25 +43,6 @@ METHODS = [
 ]
 
 
-def _config(out: Path, demonstrations: Path, algorithm: str = "clasp", **options: Any) -> Train:
-    usual = {
-        "space": "spatter",
-        "frame_skip": FRAME_SKIP,
-        "evaluate_every": 40,
-        "evaluate_episodes": 4,
-        "updates": 80,
-    }
-    numbers = options.pop("numbers", {})
-    return Train(
-        out=out,
-        demonstrations=demonstrations,
-        algorithm=algorithm,
-        device="cuda",
-        changes=tiny_changes(algorithm, **numbers),
-        **{**usual, **options},
-    )
-
-
 def _weights(folder: Path) -> dict[str, torch.Tensor]:
     return load_file(folder / "policy.safetensors")
 
@@ -69,7 +51,9 @@ def _weights(folder: Path) -> dict[str, torch.Tensor]:
 def test_every_method_learns_on_a_device(
     algorithm: str, tmp_path: Path, demonstrations: Path
 ) -> None:
-    config = _config(tmp_path / "run", demonstrations, algorithm, json=tmp_path / "summary.json")
+    config = tiny_device_run(
+        tmp_path / "run", demonstrations, algorithm, json=tmp_path / "summary.json"
+    )
     train_on_device(config, CPU)
     with (tmp_path / "run/metrics.csv").open() as file:
         rows = list(csv.DictReader(file))
@@ -84,8 +68,8 @@ def test_every_method_learns_on_a_device(
 
 
 def test_a_run_ends_beside_others_as_it_ends_alone(tmp_path: Path, demonstrations: Path) -> None:
-    train_on_device(_config(tmp_path / "both", demonstrations, seeds="3:5"), CPU)
-    train_on_device(_config(tmp_path / "alone", demonstrations, seed=4), CPU)
+    train_on_device(tiny_device_run(tmp_path / "both", demonstrations, seeds="3:5"), CPU)
+    train_on_device(tiny_device_run(tmp_path / "alone", demonstrations, seed=4), CPU)
     alone, other = _weights(tmp_path / "alone"), _weights(tmp_path / "both/s3")
     for name, weights in _weights(tmp_path / "both/s4").items():
         torch.testing.assert_close(weights, alone[name], rtol=1e-3, atol=1e-4)
@@ -94,9 +78,13 @@ def test_a_run_ends_beside_others_as_it_ends_alone(tmp_path: Path, demonstration
 
 def test_clones_are_trained_side_by_side(tmp_path: Path, demonstrations: Path) -> None:
     options = {"algorithm": "bc", "updates": 0}
-    train_on_device(_config(tmp_path / "both", demonstrations, seeds="3:5", **options), CPU)
-    train_on_device(_config(tmp_path / "alone", demonstrations, seed=4, **options), CPU)
-    train(replace(_config(tmp_path / "usual", demonstrations, seed=4, **options), device="cpu"))
+    train_on_device(tiny_device_run(tmp_path / "both", demonstrations, seeds="3:5", **options), CPU)
+    train_on_device(tiny_device_run(tmp_path / "alone", demonstrations, seed=4, **options), CPU)
+    train(
+        replace(
+            tiny_device_run(tmp_path / "usual", demonstrations, seed=4, **options), device="cpu"
+        )
+    )
     alone, usual = _weights(tmp_path / "alone"), _weights(tmp_path / "usual")
     for name, weights in _weights(tmp_path / "both/s4").items():
         torch.testing.assert_close(weights, alone[name], rtol=1e-3, atol=1e-4)
@@ -123,7 +111,7 @@ def test_imitation_is_that_of_the_processor() -> None:
 
 
 def test_metrics_are_means_since_they_were_taken(tmp_path: Path, demonstrations: Path) -> None:
-    config = _config(tmp_path / "run", demonstrations, "td3wd", numbers={"policy_delay": 2})
+    config = tiny_device_run(tmp_path / "run", demonstrations, "td3wd", numbers={"policy_delay": 2})
     parts = make_parts([Setup(config)], CPU)
     for update in (1, 2, 3, 4):
         parts.learner.collector.step()
@@ -141,37 +129,87 @@ def test_metrics_are_means_since_they_were_taken(tmp_path: Path, demonstrations:
 
 def test_seed_and_seeds_exclude_each_other(tmp_path: Path, demonstrations: Path) -> None:
     with pytest.raises(CdcsrError, match="Give seed or seeds"):
-        _config(tmp_path / "run", demonstrations, seed=7, seeds="0:2")
+        tiny_device_run(tmp_path / "run", demonstrations, seed=7, seeds="0:2")
 
 
 def test_a_stopped_run_has_no_summary(tmp_path: Path, demonstrations: Path) -> None:
     path = tmp_path / "summary.json"
-    train_on_device(_config(tmp_path / "run", demonstrations, stop_after=0.0, json=path), CPU)
+    train_on_device(
+        tiny_device_run(tmp_path / "run", demonstrations, stop_after=0.0, json=path), CPU
+    )
     assert not path.exists()
 
 
-def test_runs_resume_to_the_bit(tmp_path: Path, demonstrations: Path) -> None:
-    whole = _config(tmp_path / "whole", demonstrations, seeds="0:2")
+class _Clock:
+    """A clock that stands still until it has been looked at so many times.
+
+    A run that may take no time looks once an update, and a few times more.
+    """
+
+    def __init__(self, calls: int) -> None:
+        self.calls = calls
+
+    def monotonic(self) -> float:
+        self.calls -= 1
+        return float(-min(0, self.calls))
+
+
+def test_runs_resume_to_the_bit(
+    tmp_path: Path, demonstrations: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    whole = tiny_device_run(tmp_path / "whole", demonstrations, seeds="0:2")
     train_on_device(whole, CPU)
-    parts = _config(tmp_path / "parts", demonstrations, seeds="0:2", stop_after=0.0)
-    for update in (1, 2, 3):
+    parts = tiny_device_run(tmp_path / "parts", demonstrations, seeds="0:2", stop_after=0.0)
+    # Before any episode has ended, and when copies are in their second or third.
+    for calls, least, most in (0, 1, 1), (40, 32, 79):
+        monkeypatch.setattr("training.run.device_run.time", _Clock(calls))
         train_on_device(parts, CPU)
-        policy = load_policy(tmp_path / "parts/s1")
-        assert policy.card["unfinished"] == {"update": update, "of": 80}
-    train_on_device(_config(tmp_path / "parts", demonstrations, seeds="0:2"), CPU)
+        card = load_policy(tmp_path / "parts/s1").card
+        assert least <= card["unfinished"]["update"] <= most
+        assert (tmp_path / "parts/s1/first.safetensors").exists()
+    monkeypatch.undo()
+    train_on_device(tiny_device_run(tmp_path / "parts", demonstrations, seeds="0:2"), CPU)
     for run in ("s0", "s1"):
         again = _weights(tmp_path / "parts" / run)
         for name, weights in _weights(tmp_path / "whole" / run).items():
             assert torch.equal(weights, again[name])
+    assert {x.name for x in (tmp_path / "parts/s1").iterdir() if not x.name.startswith(".")} == {
+        *("clone", "config.json", "metrics.csv", "policy.json", "policy.safetensors"),
+        *("summary.json", "tensorboard"),
+    }
     train_on_device(whole, CPU)  # a finished run is left alone
 
 
+def test_what_a_run_began_with_is_read_back(
+    tmp_path: Path, demonstrations: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Engines on a GPU would not repeat it to the bit."""
+    options = {"stop_after": 0.0, "evaluate_every": 0}
+    first = tiny_device_run(tmp_path / "run", demonstrations, **options)
+    train_on_device(first, CPU)
+    monkeypatch.setattr(Setup, "first_episodes", lambda *_: pytest.fail("simulated again"))
+    train_on_device(first, CPU)
+    path = tmp_path / "run/first.safetensors"
+    content = bytearray(path.read_bytes())
+    content[-1] ^= 1
+    path.write_bytes(content)
+    with pytest.raises(CdcsrError, match=r"first\.safetensors is damaged"):
+        train_on_device(first, CPU)
+
+
 def test_a_run_of_several_can_go_on_alone(tmp_path: Path, demonstrations: Path) -> None:
-    both = _config(tmp_path / "runs", demonstrations, seeds="0:2", stop_after=0.0)
+    both = tiny_device_run(tmp_path / "runs", demonstrations, seeds="0:2", stop_after=0.0)
     train_on_device(both, CPU)
-    train_on_device(_config(tmp_path / "runs/s0", demonstrations, seed=0), CPU)
-    train_on_device(_config(tmp_path / "runs", demonstrations, seeds="0:2"), CPU)
-    train_on_device(_config(tmp_path / "whole", demonstrations, seeds="0:2"), CPU)
+    alone = tiny_device_run(tmp_path / "runs/s0", demonstrations, seed=0)
+    train_on_device(replace(alone, stop_after=0.0), CPU)
+    # They stand at different updates now, and go on one after the other.
+    train_on_device(both, CPU)
+    for run, update in ("s0", 3), ("s1", 2):
+        card = load_policy(tmp_path / "runs" / run).card
+        assert card["unfinished"]["update"] == update
+    train_on_device(alone, CPU)
+    train_on_device(tiny_device_run(tmp_path / "runs", demonstrations, seeds="0:2"), CPU)
+    train_on_device(tiny_device_run(tmp_path / "whole", demonstrations, seeds="0:2"), CPU)
     for name, weights in _weights(tmp_path / "whole/s1").items():
         torch.testing.assert_close(
             weights, _weights(tmp_path / "runs/s1")[name], rtol=1e-3, atol=1e-4
@@ -183,7 +221,7 @@ def test_a_kill_between_checkpoints_loses_none(
     moved: int, tmp_path: Path, demonstrations: Path
 ) -> None:
     """Either all runs have the new checkpoint, or all have the one before."""
-    stopping = _config(tmp_path / "runs", demonstrations, seeds="0:2", stop_after=0.0)
+    stopping = tiny_device_run(tmp_path / "runs", demonstrations, seeds="0:2", stop_after=0.0)
     train_on_device(stopping, CPU)
     state, waiting = "state.safetensors", "state.next.safetensors"
     old = (tmp_path / "runs/s1" / state).read_bytes()
@@ -199,7 +237,7 @@ def test_a_kill_between_checkpoints_loses_none(
         first.unlink()
         (tmp_path / "spare").mkdir()
         train_on_device(
-            _config(tmp_path / "spare", demonstrations, seeds="0:2", stop_after=0.0), CPU
+            tiny_device_run(tmp_path / "spare", demonstrations, seeds="0:2", stop_after=0.0), CPU
         )
         shutil.copy(tmp_path / "spare/s0" / state, first)
     train_on_device(stopping, CPU)
@@ -218,22 +256,45 @@ def test_a_kill_between_checkpoints_loses_none(
         ({"seeds": "3"}, "seeds must be like 0:10"),
         ({"algorithm": "drldr", "numbers": {"hindsight": 2}}, "hindsight must be 0 with device"),
         ({"seeds": "3:3"}, "the number of seeds must be a whole number from 1"),
+        (
+            {"seeds": "0:60", "numbers": {"num_envs": 2_000}},
+            "60 seeds side by side have 120,000 copies with num_envs 2,000",
+        ),
     ],
 )
 def test_what_a_device_cannot_do_is_refused(
     options: dict[str, Any], message: str, tmp_path: Path, demonstrations: Path
 ) -> None:
-    config = _config(tmp_path / "run", demonstrations, **options)
+    config = tiny_device_run(tmp_path / "run", demonstrations, **options)
     with pytest.raises(CdcsrError, match=message):
         train_on_device(config, CPU)
     assert not (tmp_path / "run").exists()
 
 
-def test_replays_that_do_not_fit_are_refused(tmp_path: Path, demonstrations: Path) -> None:
-    numbers = {"capacity": 20_000_000}
-    config = _config(tmp_path / "run", demonstrations, "td3", numbers=numbers, seeds="0:60")
-    with pytest.raises(CdcsrError, match="60 replays of 20,000,000 rows would need about"):
+def test_replays_that_do_not_fit_are_refused(
+    tmp_path: Path, demonstrations: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    # A row has 33 numbers of an observation, 8 of an action, 8 of the clone's, and some more.
+    config = tiny_device_run(
+        tmp_path / "run", demonstrations, numbers={"capacity": 1_000_000}, seeds="0:2"
+    )
+    found = "2 replays of 1,000,000 rows with their copies would need about 0.4 GB"
+    monkeypatch.setattr("cdcsr.memory.available_memory", lambda: 3.9e8)
+    with pytest.raises(CdcsrError, match=found):
         train_on_device(config, CPU)
+
+
+def test_force_deletes_nothing_while_one_folder_is_busy(
+    tmp_path: Path, demonstrations: Path
+) -> None:
+    options = {"algorithm": "bc", "updates": 0, "seeds": "0:2"}
+    train_on_device(tiny_device_run(tmp_path / "runs", demonstrations, **options), CPU)
+    summary = tmp_path / "runs/s0/summary.json"
+    with lock(tmp_path / "runs/s1/.lock"), pytest.raises(Busy):
+        train_on_device(
+            tiny_device_run(tmp_path / "runs", demonstrations, force=True, **options), CPU
+        )
+    assert summary.exists()
 
 
 @pytest.mark.skipif(torch.cuda.is_available(), reason="there is a GPU")
@@ -267,10 +328,10 @@ def test_a_policy_learned_on_a_device_reaches(tmp_path: Path) -> None:
 def test_the_door_of_warp_is_used(tmp_path: Path, demonstrations: Path) -> None:
     pytest.importorskip("mujoco_warp", reason="the extra gpu is not installed")
     options = {"backend": "warp:device=cpu", "seeds": "0:2", "updates": 30, "evaluate_every": 15}
-    first = _config(tmp_path / "runs", demonstrations, stop_after=0.0, **options)
+    first = tiny_device_run(tmp_path / "runs", demonstrations, stop_after=0.0, **options)
     train_on_device(first, CPU)
-    train_on_device(_config(tmp_path / "runs", demonstrations, **options), CPU)
-    train_on_device(_config(tmp_path / "whole", demonstrations, **options), CPU)
+    train_on_device(tiny_device_run(tmp_path / "runs", demonstrations, **options), CPU)
+    train_on_device(tiny_device_run(tmp_path / "whole", demonstrations, **options), CPU)
     again = _weights(tmp_path / "runs/s1")
     for name, weights in _weights(tmp_path / "whole/s1").items():
         assert torch.equal(weights, again[name])

@@ -1,0 +1,93 @@
+"""Work that a GPU repeats as a CUDA graph is fit for it, which a processor can tell."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import pytest
+import torch
+from torch.utils._python_dispatch import TorchDispatchMode
+
+from cdcsr.simulation.contract import Simulation
+from tests.support.tiny import tiny_device_run
+from training.device.doors import DeviceState, HostDoor
+from training.run.device_parts import make_parts
+from training.run.setup import Setup
+
+CPU = torch.device("cpu")
+
+
+class _StillRobots:
+    """A door whose copies do not move, without a word to the processor."""
+
+    def __init__(self, simulation: Simulation, device: torch.device) -> None:
+        self.robot, self.num = simulation.robot, simulation.num
+        self._state = HostDoor(simulation, device).device_state()
+
+    def device_state(self) -> DeviceState:
+        return self._state
+
+    def step_device(self, *_: Any) -> None:
+        pass
+
+    def reset_device(self, mask: torch.Tensor) -> None:
+        pass
+
+    def close(self) -> None:
+        pass
+
+
+class _Waiting(TorchDispatchMode):
+    """Refuse what a CUDA graph cannot hold: a wait for a number, a shape that depends on numbers,
+    and a tensor that comes from Python."""
+
+    REFUSED = ("_local_scalar_dense", "nonzero", "masked_select", "lift_fresh", "unique", "equal")
+
+    def __torch_dispatch__(
+        self, func: Any, types: Any, args: Any = (), kwargs: dict[str, Any] | None = None
+    ) -> Any:
+        name = func.overloadpacket.__name__
+        assert name not in self.REFUSED, name
+        for part in args[1] if name in ("index", "index_put", "index_put_") else ():
+            assert part is None or part.dtype != torch.bool, name
+        return func(*args, **kwargs or {})
+
+
+@pytest.mark.parametrize(
+    ("algorithm", "task", "numbers"),
+    [
+        ("clasp", "reach", {"symmetry": True}),
+        ("her", "reach", {}),
+        ("rlpd", "follow-random", {"symmetry": True}),
+    ],
+)
+def test_a_graph_can_hold_all_work(
+    algorithm: str,
+    task: str,
+    numbers: dict[str, Any],
+    tmp_path: Path,
+    demonstrations: Path,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr("training.run.device_parts.open_door", _StillRobots)
+    given = demonstrations if task == "reach" else None
+    config = tiny_device_run(
+        tmp_path / "run", demonstrations, algorithm, task=task, numbers=numbers
+    )
+    parts = make_parts([Setup(replace(config, demonstrations=given))], CPU)
+    learner = parts.learner
+    for update in range(1, 6):  # in the first ones optimizers make their state
+        learner.collector.step()
+        learner.update(update)
+    where = {name: x.data_ptr() for name, x in learner.views(0).items()}
+    with _Waiting():
+        for update in range(6, 40):
+            learner.collector.step()
+            learner.update(update)
+    assert where == {name: x.data_ptr() for name, x in learner.views(0).items()}
+    assert int(learner.networks.updates) == 39
+    with pytest.raises(AssertionError, match="_local_scalar_dense"), _Waiting():
+        learner.networks.updates.item()
+    parts.close()
