@@ -25,7 +25,7 @@ def experiments(
     *,
     budget: Literal["quick", "standard", "paper"] = "standard",
     jobs: int | None = None,
-    executor: Literal["local", "ray"] = "local",
+    executor: Literal["local", "ray", "gpu"] = "local",
     address: str | None = None,
     runs: Path = Path("runs/study"),
     results: Path = Path("runs/results"),
@@ -46,7 +46,8 @@ def experiments(
         names: experiments, or "all"; --list shows them.
         budget: quick is a smoke test; paper has the lengths and seeds of the paper.
         jobs: runs side by side on this machine; by default as many as it has processors.
-        executor: ray spreads the runs over a Ray cluster whose nodes share the folders.
+        executor: ray spreads the runs over a Ray cluster whose nodes share the folders; gpu trains
+            runs that differ only in their seeds side by side on a GPU, then evaluates as local.
         address: address of that cluster; by default a new one is started on this machine.
         runs: folder of the training runs, with their logs and weights.
         results: working folder of the results, a few small files a run.
@@ -199,7 +200,14 @@ def _carry_out(
 
     if executor == "ray":
         return carry_out_on_ray(wanted, runs, results, address)
-    return carry_out_here(wanted, runs, results, (os.cpu_count() or 1) if jobs is None else jobs)
+    slots = (os.cpu_count() or 1) if jobs is None else jobs
+    if executor == "gpu":
+        import torch
+
+        from training.study.execute.gpu_executor import carry_out_on_gpu
+
+        return carry_out_on_gpu(wanted, runs, results, slots, torch.device("cuda"))
+    return carry_out_here(wanted, runs, results, slots)
 
 
 def _show(

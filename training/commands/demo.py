@@ -3,9 +3,15 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Literal
 
 
-def demo(out: Path, minutes: float = 8.0, json: Path | None = None) -> None:
+def demo(
+    out: Path,
+    minutes: float = 8.0,
+    device: Literal["auto", "cpu", "cuda"] = "auto",
+    json: Path | None = None,
+) -> None:
     """Build, demonstrate, train, and measure the transfer between engines, all in one folder.
 
     The demo builds the paper's robot for every engine, records ten demonstrations, trains BC and
@@ -18,6 +24,9 @@ def demo(out: Path, minutes: float = 8.0, json: Path | None = None) -> None:
             minute at the least, and as much again the first time, when PyBullet's kernels are
             compiled. With less than 8 the tables and the video have fewer episodes. A larger
             number trains a demo further that ran out of it.
+        device: where BATD3 learns: cpu; cuda for a GPU, in the engine that steps on it; auto takes
+            a GPU if there is one and the extra gpu is installed, and a folder that was begun keeps
+            its device.
         json: also write the results, each episode included, to this file.
     """
     from cdcsr.files import write_json
@@ -25,6 +34,6 @@ def demo(out: Path, minutes: float = 8.0, json: Path | None = None) -> None:
     from training.commands.demo_stages import Amounts, run_demo
 
     check_number("minutes", minutes, 1e-3, 1e6)
-    summary = run_demo(out, Amounts.within(minutes))
+    summary = run_demo(out, Amounts.within(minutes), device)
     if json is not None:
         write_json(json, summary)

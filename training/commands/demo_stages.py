@@ -6,14 +6,21 @@ import time
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Literal
 
 import numpy as np
 import torch
 
+from cdcsr.errors import CdcsrError
 from cdcsr.files import read_json, write_json, write_text
 from cdcsr.folders import WorkingFolder
 from cdcsr.robot.description import load_robot
-from cdcsr.simulation.engines import engine_title, principal_engines, working_engines
+from cdcsr.simulation.engines import (
+    engine_title,
+    load_backend,
+    principal_engines,
+    working_engines,
+)
 from controllers.jacobian import JacobianController
 from training.algorithms.registry import algorithm_title
 from training.commands.build_model import build_model
@@ -26,8 +33,9 @@ from training.plots import video
 from training.plots.learning_curve import draw_learning_curve
 from training.plots.targets import draw_targets
 from training.policy import Policy, load_policy
+from training.run.device_run import train_on_device
 from training.run.metrics import read_metrics
-from training.run.train_options import Train
+from training.run.train_options import RUN_FOLDER, Train
 from training.run.trainer import train
 
 ROBOT, SPACE = "paper", "spatter"
@@ -107,7 +115,9 @@ class Stage:
     work: Callable[[], None]
 
 
-def run_demo(out: Path, amounts: Amounts = Amounts()) -> dict[str, object]:
+def run_demo(
+    out: Path, amounts: Amounts = Amounts(), device: Literal["auto", "cpu", "cuda"] = "auto"
+) -> dict[str, object]:
     """Build models, record demonstrations, train, measure in every engine, and draw.
 
     A demo that was stopped is resumed; training loses at most what came after its last evaluation.
@@ -116,16 +126,18 @@ def run_demo(out: Path, amounts: Amounts = Amounts()) -> dict[str, object]:
     Args:
         out: the folder for everything.
         amounts: how much of everything.
+        device: where BATD3 learns; see :func:`training.commands.demo.demo`.
 
     Returns:
         A summary, ready for JSON.
 
     Raises:
-        CdcsrError: the folder holds something else, or a demo with other options.
+        CdcsrError: the folder holds something else, or a demo with other options; or there is no
+            GPU where one is asked for.
         Busy: another process runs a demo there.
     """
     torch.set_num_threads(1)
-    demo = Demo(out, amounts)
+    demo = Demo(out, amounts, engine_on_gpu(out, device))
     with DEMO_FOLDER.claim(out):
         carry_out(out, demo.stages())
     training = read_metrics(out / RUN / "metrics.csv")[-1]
@@ -135,6 +147,28 @@ def run_demo(out: Path, amounts: Amounts = Amounts()) -> dict[str, object]:
     for name, what in CONTENTS.items():
         print(f"{out / name!s:<{width}}  {what}")
     return {"out": str(out), "files": [*CONTENTS], "training": training, **read_json(out / CELLS)}
+
+
+def engine_on_gpu(out: Path, device: Literal["auto", "cpu", "cuda"]) -> str | None:
+    """Return the engine that steps on a GPU and say so, or None to learn on the processor.
+
+    Raises:
+        CdcsrError: a GPU is asked for, and there is none, or no engine for it.
+    """
+    begun = out / RUN / RUN_FOLDER.record
+    if device == "auto" and begun.is_file():
+        device = "cuda" if read_json(begun).get("device") == "cuda" else "cpu"
+    if device == "cpu":
+        return None
+    engines = [name for name in principal_engines() if hasattr(load_backend(name), "device_state")]
+    if engines and torch.cuda.is_available():
+        where = torch.cuda.get_device_name()
+        print(f"BATD3 learns on {where}, in {engine_title(engines[0])}.", flush=True)
+        return engines[0]
+    if device == "cuda":
+        lacks = "GPU" if engines else "engine that steps on one (pip install 'cdcsr[gpu]')"
+        raise CdcsrError(f"There is no {lacks} for device cuda here; choose auto or cpu.")
+    return None
 
 
 def carry_out(folder: Path, stages: Iterable[Stage]) -> None:
@@ -161,12 +195,16 @@ class Demo:
     Args:
         out: the folder.
         amounts: how much of everything.
+        engine: steps on a GPU, where BATD3 learns then; None to learn on the processor.
     """
 
-    def __init__(self, out: Path, amounts: Amounts) -> None:
+    def __init__(self, out: Path, amounts: Amounts, engine: str | None) -> None:
         self._out, self._amounts = out, amounts
         self._robot = load_robot(ROBOT)
         self._training = Train(
+            backend=engine or "mujoco",
+            device="cuda" if engine else "cpu",
+            preset="gpu" if engine else "tuned",
             out=out / RUN,
             space=SPACE,
             robot=ROBOT,
@@ -212,7 +250,11 @@ class Demo:
         left = self._amounts.minutes - (history[-1]["minutes"] if history else 0.0)
         summary = self._out / RUN / "summary.json"
         if left > 0 and not summary.exists():
-            train(replace(self._training, stop_after=left))
+            config = replace(self._training, stop_after=left)
+            if config.device == "cpu":
+                train(config)
+            else:
+                train_on_device(config, torch.device(config.device))
 
     def _policies(self) -> tuple[Policy, Policy]:
         """Return the clone and the policy."""

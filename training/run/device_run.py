@@ -49,13 +49,24 @@ def train_on_device(config: Train, device: torch.device) -> list[Policy]:
             another run.
         Busy: another process works at one of the runs.
     """
+    policies = train_side_by_side(config.each_seed(), device)
+    paths = [one.out / SUMMARY for one in config.each_seed()]
+    if config.json is not None and all(path.exists() for path in paths):
+        summaries = [read_json(path) for path in paths]
+        write_json(config.json, summaries[0] if config.seeds is None else {"runs": summaries})
+    return policies
+
+
+def train_side_by_side(configs: Sequence[Train], device: torch.device) -> list[Policy]:
+    """Carry out runs that differ only in their seeds and folders; raises as
+    :func:`train_on_device`."""
     if device.type == "cuda" and not torch.cuda.is_available():
         raise CdcsrError("PyTorch finds no GPU for device cuda here; choose device cpu.")
     torch.set_num_threads(1)
-    setups = [Setup(one) for one in config.each_seed()]
+    setups = [Setup(one) for one in configs]
     check_device(setups[0], len(setups), device)
-    if config.track:
-        import_module(config.track)  # one that is missing should be told before the work
+    if configs[0].track:
+        import_module(configs[0].track)  # one that is missing should be told before the work
     begin: list[Callable[[], None]] = []
     with ExitStack() as held:
         for setup in setups:
@@ -64,12 +75,7 @@ def train_on_device(config: Train, device: torch.device) -> list[Policy]:
             begin.append(held.enter_context(RUN_FOLDER.hold(one.out, identity, older, one.force)))
         for each in begin:  # nothing is deleted before all folders are held
             each()
-        policies = DeviceRuns(setups, device).carry_out()
-        paths = [setup.config.out / SUMMARY for setup in setups]
-        if config.json is not None and all(path.exists() for path in paths):
-            summaries = [read_json(path) for path in paths]
-            write_json(config.json, summaries[0] if config.seeds is None else {"runs": summaries})
-    return policies
+        return DeviceRuns(setups, device).carry_out()
 
 
 class DeviceRuns:

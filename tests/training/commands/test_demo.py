@@ -3,19 +3,34 @@
 from __future__ import annotations
 
 import json
+from itertools import islice
 from pathlib import Path
 
 import numpy as np
 import pytest
+import torch
 
 from backends.export import summary
 from cdcsr.cli import main
 from cdcsr.errors import CdcsrError
-from cdcsr.simulation.engines import backend_names
+from cdcsr.files import read_json, sealed, write_json
+from cdcsr.simulation.engines import backend_names, load_backend
 from tests.support.tiny import tiny_changes
 from training.commands import demo_stages
-from training.commands.demo_stages import DEMO_FOLDER, Amounts, Stage, carry_out, run_demo
+from training.commands.demo_stages import (
+    DEMO_FOLDER,
+    Amounts,
+    Demo,
+    Stage,
+    carry_out,
+    engine_on_gpu,
+    run_demo,
+)
+from training.device.doors import HostDoor
 from training.plots import video
+from training.policy import Policy
+from training.run.device_run import train_on_device
+from training.run.train_options import Train
 
 
 def tiny(minutes: float) -> Amounts:
@@ -150,6 +165,40 @@ def test_a_damaged_record_is_reported(tmp_path: Path, text: str) -> None:
     (tmp_path / "demo.json").write_text(text, encoding="latin-1")
     with pytest.raises(CdcsrError, match=r"(?i)cannot (be )?read"):
         run_demo(tmp_path)
+
+
+@pytest.mark.usefixtures("third_engine")
+def test_a_demo_uses_a_gpu_if_there_is_one(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    out, asked = tmp_path / "demo", list[Train]()
+
+    def learn(config: Train, device: torch.device) -> list[Policy]:
+        assert device.type == "cuda"
+        asked.append(config)
+        return train_on_device(config, torch.device("cpu"))
+
+    monkeypatch.setattr(torch.cuda, "is_available", lambda: False)
+    with pytest.raises(CdcsrError, match=r"no engine that steps on one \(pip install"):
+        run_demo(out, tiny(1), "cuda")
+    monkeypatch.setattr(load_backend("third"), "device_state", None, raising=False)
+    with pytest.raises(CdcsrError, match="There is no GPU for device cuda here"):
+        run_demo(out, tiny(1), "cuda")
+    monkeypatch.setattr(torch.cuda, "is_available", lambda: True)
+    monkeypatch.setattr(torch.cuda, "get_device_name", lambda: "A Card")
+    monkeypatch.setattr(demo_stages, "train_on_device", learn)
+    monkeypatch.setattr("training.run.device_parts.open_door", HostDoor)
+    demo = Demo(out, tiny(1), engine_on_gpu(out, "auto"))
+    stages = list(islice(demo.stages(), 3))
+    with DEMO_FOLDER.claim(out):
+        carry_out(out, stages)
+    assert "BATD3 learns on A Card, in Third." in capsys.readouterr().out
+    assert [(one.backend, one.device, one.preset) for one in asked] == [("third", "cuda", "gpu")]
+    assert engine_on_gpu(out, "cpu") is None
+    # A folder keeps its device, whatever the machine has.
+    record = out / "runs/batd3/config.json"
+    write_json(record, sealed({**read_json(record), "device": "cpu"}))
+    assert engine_on_gpu(out, "auto") is None
 
 
 @pytest.mark.parametrize("minutes", ["0", "-1", "nan"])

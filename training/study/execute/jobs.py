@@ -11,10 +11,10 @@ import subprocess
 import sys
 import threading
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from importlib.metadata import version
 from pathlib import Path
-from typing import IO, TYPE_CHECKING, cast
+from typing import IO, TYPE_CHECKING, Literal, cast
 
 from cdcsr.cli import run
 from cdcsr.errors import CdcsrError, unknown_choice
@@ -27,6 +27,7 @@ from training.study.declare.budgets import Budget
 
 if TYPE_CHECKING:
     from training.policy import Policy
+    from training.run.train_options import Train
     from training.study.execute.evaluations import Subject
 
 RECORD = "run.json"
@@ -98,6 +99,16 @@ class Job:
         return (runs / self.name / "config.json").is_file() and not (
             runs / self.name / SUMMARY
         ).is_file()
+
+    def training(self, out: Path, device: Literal["cpu", "cuda"] = "cpu") -> Train:
+        """Return how its run is trained in a folder."""
+        from training.run.train_options import train_options
+
+        # At most 40 points on a learning curve, and as many checkpoints.
+        every = max(self.budget.evaluate_every, self.spec.updates // 40)
+        episodes = self.budget.validation_episodes
+        options = train_options(self.spec, out, evaluate_every=every, evaluate_episodes=episodes)
+        return replace(options, device=device)
 
     def command(self, runs: Path, results: Path) -> list[str]:
         """Return the command line of a process that does it; it ends with its standard input."""
@@ -237,15 +248,19 @@ def _train(job: Job, out: Path) -> Policy:
     """Return the policy of the run, trained as far as that is still to be done.
 
     Raises:
-        CdcsrError: a run with other options is there.
+        CdcsrError: a run with other options is there, or one that only a GPU can go on with.
     """
-    from training.run.train_options import train_options
+    from cdcsr.files import read_json
+    from training.policy import load_policy
+    from training.run.train_options import RUN_FOLDER
     from training.run.trainer import train
 
-    # At most 40 points on a learning curve, and as many checkpoints.
-    every = max(job.budget.evaluate_every, job.spec.updates // 40)
-    episodes = job.budget.validation_episodes
-    return train(train_options(job.spec, out, evaluate_every=every, evaluate_episodes=episodes))
+    record = out / RUN_FOLDER.record
+    if record.is_file() and read_json(record).get("device", "cpu") != "cpu":
+        if (out / SUMMARY).is_file():
+            return load_policy(out)
+        raise CdcsrError(f"{out} was begun with --executor gpu; go on with that, or delete it.")
+    return train(job.training(out))
 
 
 def _record(job: Job, subject: Subject, card: Mapping[str, object]) -> dict[str, object]:
@@ -260,6 +275,7 @@ def _record(job: Job, subject: Subject, card: Mapping[str, object]) -> dict[str,
         "minutes": card.get("minutes", 0.0),
         "updates": card.get("updates", 0),
         "environment_steps": card.get("environment_steps", 0),
+        **({"device": card["device"]} if card.get("device", "cpu") != "cpu" else {}),
         "versions": card.get("versions") or versions(),
         "robot": subject.robot.name,
         "fingerprint": subject.robot.fingerprint,

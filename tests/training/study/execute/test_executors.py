@@ -3,23 +3,27 @@
 from __future__ import annotations
 
 import json
+import shutil
 import subprocess
 import sys
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
 import pytest
+import torch
 
 from cdcsr.errors import CdcsrError
 from cdcsr.locks import Busy
 from tests.support.tiny import TINY_BUDGET, tiny_job
+from training.experiments import experiments
 from training.study.execute import ray_executor
-from training.study.execute.jobs import Job
-from training.study.execute.local import Progress, duration, failure
+from training.study.execute.gpu_executor import carry_out_on_gpu
+from training.study.execute.jobs import Job, carry_out
+from training.study.execute.local import Outcome, Progress, duration, failure
 from training.study.execute.ray_executor import carry_out_on_ray, do_one
 
 
@@ -234,3 +238,55 @@ def test_without_ray_or_without_a_cluster_one_line_says_so(
     monkeypatch.setitem(sys.modules, "ray", None)
     with pytest.raises(CdcsrError, match=r"pip install 'cdcsr\[ray\]'"):
         carry_out_on_ray([_JOB], tmp_path / "runs", tmp_path / "results", None)
+
+
+def test_runs_that_differ_in_their_seeds_are_trained_together(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    runs, results, device = tmp_path / "runs", tmp_path / "results", torch.device("cpu")
+    pair, other = [_job("td3", seed) for seed in (3, 4)], tiny_job(70)
+    wrong = tiny_job(start="anywhere", algorithm="drldr", task="quiet")
+    wanted = [pair[0], other, wrong, pair[1], tiny_job(0, algorithm="jacobian")]
+    wanted = [replace(job, evaluations=()) for job in wanted]
+
+    def evaluate(left: Sequence[Job], runs: Path, results: Path, slots: int) -> Outcome:
+        assert slots == 5
+        for job in left:
+            carry_out(job, runs, results)
+        return Outcome(dict.fromkeys((job.name for job in left), 1.0))
+
+    monkeypatch.setattr("training.study.execute.gpu_executor.carry_out_here", evaluate)
+    outcome = carry_out_on_gpu(wanted, runs, results, 5, device)
+    said = capsys.readouterr().out
+    assert f"[1/3] {pair[0].name}, seeds 3, 4: trained in" in said
+    assert f"[3/3] {wrong.name}, seeds 0: failed, " in said
+    assert set(outcome.failed) == {wrong.name}
+    assert set(outcome.finished) == {job.name for job in wanted if job.name != wrong.name}
+    weights = {(runs / job.name / "policy.safetensors").read_bytes() for job in (*pair, other)}
+    assert len(weights) == 3
+    metrics = (results / pair[0].name / "metrics.csv").read_text().splitlines()
+    assert [line.split(",")[0] for line in metrics] == ["update", "20", "40", "60"]
+    monkeypatch.setattr(
+        "training.study.execute.gpu_executor.train_side_by_side",
+        lambda *_: pytest.fail("trained again"),
+    )
+    done = [job for job in wanted if job.name != wrong.name]
+    assert not carry_out_on_gpu(done, runs, results, 5, device).failed
+    # A run that a GPU began is not one that a processor can go on with.
+    (runs / other.name / "summary.json").unlink()
+    shutil.rmtree(results / other.name)
+    with pytest.raises(CdcsrError, match="was begun with --executor gpu"):
+        carry_out(other, runs, results)
+
+
+@pytest.mark.skipif(torch.cuda.is_available(), reason="there is a GPU")
+def test_without_a_gpu_the_executor_says_so(tmp_path: Path) -> None:
+    with pytest.raises(CdcsrError, match="finds no GPU for --executor gpu"):
+        experiments(
+            ("table2",),
+            executor="gpu",
+            only="td3-*_s0",
+            runs=tmp_path / "runs",
+            results=tmp_path / "results",
+            store=tmp_path / "store",
+        )

@@ -1,0 +1,69 @@
+"""Do jobs with a GPU: runs that differ only in their seeds are trained side by side on it."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+
+import torch
+
+from cdcsr.errors import CdcsrError
+from cdcsr.leftovers import make_folder
+from training.config.run_description import RunDescription
+from training.run.device_run import train_side_by_side
+from training.study.execute.jobs import SUMMARY, Job
+from training.study.execute.local import Outcome, carry_out_here, duration
+
+
+def carry_out_on_gpu(
+    jobs: Sequence[Job], runs: Path, results: Path, slots: int, device: torch.device
+) -> Outcome:
+    """Train on a GPU what is not trained yet, then evaluate in processes of this machine.
+
+    Runs that fail, or at which another process is, do not stop the others.
+
+    Args:
+        jobs: the jobs; those that differ only in their seeds are trained together.
+        runs: folder of the training runs.
+        results: working folder of the results.
+        slots: how many evaluations run at once.
+        device: where the learners are.
+
+    Raises:
+        CdcsrError: there is no such device, or the folder `runs` cannot be made.
+    """
+    if device.type == "cuda" and not torch.cuda.is_available():
+        raise CdcsrError("PyTorch finds no GPU for --executor gpu here; choose local.")
+    try:
+        make_folder(runs)
+    except OSError as error:
+        raise CdcsrError(f"Cannot make the folder {runs}: {error.strerror}.") from None
+    groups, failed = side_by_side(jobs, runs, results), dict[str, str]()
+    for number, group in enumerate(groups, 1):
+        seeds = ", ".join(str(job.spec.seed) for job in group)
+        what = f"[{number}/{len(groups)}] {group[0].name}, seeds {seeds}"
+        print(f"{what}: started", flush=True)
+        started = time.monotonic()
+        try:
+            train_side_by_side([job.training(runs / job.name, "cuda") for job in group], device)
+        except CdcsrError as error:
+            failed |= {job.name: str(error) for job in group}
+            print(f"{what}: failed, {error}", flush=True)
+            continue
+        minutes = (time.monotonic() - started) / 60
+        print(f"{what}: trained in {duration(minutes)}", flush=True)
+    outcome = carry_out_here([job for job in jobs if job.name not in failed], runs, results, slots)
+    outcome.failed |= failed
+    return outcome
+
+
+def side_by_side(jobs: Sequence[Job], runs: Path, results: Path) -> list[list[Job]]:
+    """Return the jobs that are still to be trained; those in a list differ only in their seeds."""
+    groups: dict[tuple[RunDescription, object], list[Job]] = {}
+    for job in jobs:
+        trained = (runs / job.name / SUMMARY).is_file() or job.is_done(results)
+        if job.spec.trains and not trained:
+            groups.setdefault((replace(job.spec, seed=0), job.budget), []).append(job)
+    return list(groups.values())
