@@ -32,7 +32,7 @@ from cdcsr.robot.description import Robot
 from cdcsr.robot.routing import routing
 from cdcsr.robot.stability import highest_speeds
 from cdcsr.simulation.loads import Loads
-from cdcsr.simulation.plant import Plant
+from cdcsr.simulation.plant import Parameters, Plant
 
 # Warp has no types for checkers: its arrays are Any here.
 Warp = Any
@@ -103,6 +103,8 @@ class Copies:
             self.model.opt.run_collision_detection, self.model.opt.warn_overflow = False, 0
             self.data = mjw.make_data(self.host, nworld=num, nconmax=0, njmax=self._rows)
             self._start, self._rest = _floats(start), _floats(self._described)
+            self._still = _floats(np.zeros((num, self.host.nv)))
+            self._own_start: tuple[Warp, Warp] | None = None
             self._fastest = _floats(highest_speeds(robot)[-self.host.nv :])
             self._compliance, self.tension = (_floats(0 * self._described) for _ in range(2))
             self.tip, self.tip_velocity, self.base_turning = (
@@ -135,6 +137,17 @@ class Copies:
     def restart(self) -> None:
         """Put the copies in `chosen` to the start."""
         self._do("restart", self._restart)
+
+    def start_at(self, position: Warp, velocity: Warp) -> None:
+        """Let the start be what two arrays hold at that time, as qpos and qvel."""
+        self._own_start = position, velocity
+        self._graphs.clear()
+
+    def plant_arrays(self) -> dict[str, Warp]:
+        """Return the arrays that :meth:`set_plant` changes, which have a row for every copy."""
+        described = plant_fields(self.host, Parameters().plant(self._robot, 1))
+        fields = {name: self._own(name) for name in (*described, *_DERIVED)}
+        return fields | {"start": self._start, "rest": self._rest, "soft": self._compliance}
 
     def _do(self, name: str, work: Callable[[], None]) -> None:
         """Launch kernels; on a GPU as one graph, from the second time on.
@@ -183,7 +196,7 @@ class Copies:
     def _restart(self) -> None:
         data = self.data
         outputs = [data.qpos, data.qvel, data.qacc_warmstart, self.tension, self.time]
-        inputs = [self.chosen, self._start]
+        inputs = [self.chosen, *(self._own_start or (self._start, self._still))]
         outputs += [self.diverged]
         wp.launch(kernels.restart, dim=self.num, inputs=inputs, outputs=outputs)
         self._update()

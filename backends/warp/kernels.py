@@ -94,6 +94,7 @@ def end_step(
 def restart(
     chosen: wp.array(dtype=wp.bool),
     start: wp.array2d(dtype=wp.float32),
+    speed: wp.array2d(dtype=wp.float32),
     position: wp.array2d(dtype=wp.float32),
     velocity: wp.array2d(dtype=wp.float32),
     guess: wp.array2d(dtype=wp.float32),
@@ -101,7 +102,7 @@ def restart(
     time: wp.array(dtype=wp.float64),
     diverged: wp.array(dtype=wp.bool),
 ):
-    """Put the chosen copies to the start, at rest."""
+    """Put the chosen copies to the start, a position and a velocity."""
     copy = wp.tid()
     if not chosen[copy]:
         return
@@ -110,7 +111,7 @@ def restart(
     for i in range(position.shape[1]):
         position[copy, i] = start[copy, i]
     for i in range(velocity.shape[1]):
-        velocity[copy, i] = 0.0
+        velocity[copy, i] = speed[copy, i]
         guess[copy, i] = 0.0
     for i in range(tension.shape[1]):
         tension[copy, i] = 0.0

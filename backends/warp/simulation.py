@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from contextlib import contextmanager
 from typing import Any
 
 import mujoco_warp
@@ -16,9 +14,9 @@ from pydantic import Field
 from backends.mujoco.active_cables import base_size
 from backends.mujoco.simulation import MujocoSimulation
 from backends.warp.device import Copies, choose_device
+from backends.warp.device_steps import DeviceSteps
 from backends.warp.equation import equation_of_motion
-from backends.warp.tensors import DeviceState, tensors_of
-from cdcsr.errors import CdcsrError
+from backends.warp.tensors import tensors_of
 from cdcsr.robot.description import Robot
 from cdcsr.robot.stability import highest_speeds, too_fast
 from cdcsr.simulation.contract import (
@@ -26,7 +24,6 @@ from cdcsr.simulation.contract import (
     Dynamics,
     EngineOptions,
     Physics,
-    Simulation,
     Snapshot,
     State,
 )
@@ -48,7 +45,7 @@ class WarpOptions(EngineOptions):
 
 
 @taking_turns
-class WarpSimulation(Simulation):
+class WarpSimulation(DeviceSteps):
     """`num` copies of a robot in MuJoCo Warp, in single precision.
 
     :meth:`device_state`, :meth:`step_device` and :meth:`reset_device` are for those who stay on the
@@ -82,89 +79,11 @@ class WarpSimulation(Simulation):
         self._tensors = tensors_of(self._copies, robot)
         self._command = wp.to_torch(self._copies.data.ctrl)
         self._chosen_copies = wp.to_torch(self._copies.chosen)
+        self._plants: list[tuple[torch.Tensor, torch.Tensor]] = []
         every = np.arange(num)
         if self.plant.cable_compliance.any():
             self._set_plant(every, self.plant)
         self._reset(every)
-
-    # --- on the device ----------------------------------------------------------------------------
-
-    def device_state(self) -> DeviceState:
-        """Return the state of all copies on the device; nothing is copied, and it is always the
-        same tensors."""
-        self._check_open()
-        return self._tensors
-
-    def step_device(
-        self, command: torch.Tensor, substeps: int = 1, restart: torch.Tensor | None = None
-    ) -> None:
-        """Advance all copies under commands on the device; read `diverged` to see which are lost.
-
-        Args:
-            command: as in `step`, shape (num, C), on this device, in [m]. Its numbers are not
-                checked.
-            substeps: how many time steps.
-            restart: the copies that stand at the start after that, shape (num,), bool, on this
-                device; a reset apart would look a second time at what follows from positions.
-
-        Raises:
-            CdcsrError: the command or the mask has another shape or is on another device; or
-                commands are delayed, which only `step` can do.
-        """
-        self._check_open()
-        if not self._line.idle:
-            raise CdcsrError("step_device delays no commands; use step, or set no command_delay.")
-        self._check_tensor("The command", command, self._command)
-        self._command.copy_(command)
-        if restart is not None:
-            self._choose(restart)
-        with self._in_torch_order():
-            for done in range(1, substeps + 1):
-                self._copies.step(restart is not None and done == substeps)
-
-    def reset_device(self, mask: torch.Tensor) -> None:
-        """Put copies to the start, as `reset` does.
-
-        Args:
-            mask: which copies, shape (num,), bool, on this device.
-
-        Raises:
-            CdcsrError: the mask has another shape or is on another device.
-        """
-        self._check_open()
-        self._choose(mask)
-        with self._in_torch_order():
-            self._copies.restart()
-
-    def _choose(self, mask: torch.Tensor) -> None:
-        """Take note of the copies that are to be put to the start."""
-        self._check_tensor("The mask", mask, self._chosen_copies)
-        self._chosen_copies.copy_(mask)
-
-    def _check_tensor(self, name: str, found: torch.Tensor, like: torch.Tensor) -> None:
-        if found.shape != like.shape or found.device != like.device:
-            raise CdcsrError(
-                f"{name} must have the shape {tuple(like.shape)} and be on {like.device}; found "
-                f"{tuple(found.shape)} on {found.device}."
-            )
-
-    @contextmanager
-    def _in_torch_order(self) -> Iterator[None]:
-        """Let Warp work after what torch was given before, and torch go on after that.
-
-        On a GPU both only hand their work over, each to a stream of its own.
-        """
-        with self._copies.active():
-            if not self._copies.device.is_cuda:
-                yield
-                return
-            ours = wp.get_stream()
-            theirs = wp.stream_from_torch(torch.cuda.current_stream(self._copies.device.ordinal))
-            ours.wait_stream(theirs)
-            yield
-            theirs.wait_stream(ours)
-
-    # --- the contract -----------------------------------------------------------------------------
 
     def _set_plant(self, ids: NDArray[np.int64], plant: Plant) -> None:
         with self._copies.active():

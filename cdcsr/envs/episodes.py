@@ -78,7 +78,14 @@ class Episodes:
             self.drift[ids], self.targets[ids] = drift, self._place[ids]
             self.target_velocity[ids] = self._velocity[ids] + drift
 
-    def restart(self, fresh: Mask, place: Array, velocity: Array, memory: Array) -> None:
+    def restart(
+        self,
+        fresh: Mask,
+        place: Array,
+        velocity: Array,
+        memory: Array,
+        drift: Array | None = None,
+    ) -> None:
         """Begin new episodes of some copies with motions that were drawn before.
 
         This is :meth:`begin` for arrays of any library, and for a mask that only a device knows.
@@ -88,33 +95,27 @@ class Episodes:
             place: where their targets begin, shape (num, 3), in [m]; other rows are ignored.
             velocity: of the targets, shape (num, 3), in [m/s].
             memory: of their motion, shape (num, its size).
+            drift: of the episodes that begin, shape (num, 3), in [m/s]; given if targets drift.
         """
         where = array_namespace(place).where
-        begun = (self._place, place), (self._velocity, velocity), (self._motion_memory, memory)
+        begun = [(self._place, place), (self._velocity, velocity), (self._motion_memory, memory)]
+        if drift is not None:
+            begun += [(self.drift, drift), (self.targets, place)]
+            begun += [(self.target_velocity, velocity + drift)]
         for rows, new in begun:
             rows[:] = where(fresh[:, None], new, rows)
         for count in (self.actions_taken, *self.counts.values()):
             count *= ~fresh
 
     def convert(self, convert: Callable[[NDArray[np.generic]], Any]) -> None:
-        """Keep arrays of another library from here on.
-
-        Raises:
-            ValueError: targets drift with the robot, which only NumPy's do.
-        """
+        """Keep arrays of another library from here on."""
+        names = "targets", "target_velocity", "drift", "_motion_memory", "actions_taken"
+        for name in names:
+            setattr(self, name, convert(getattr(self, name)))
         if self._drifts:
-            raise ValueError("Episodes with drifting targets keep NumPy's arrays.")
-        self.targets, self.target_velocity, self.drift, self._motion_memory, self.actions_taken = (
-            convert(rows)
-            for rows in (
-                self.targets,
-                self.target_velocity,
-                self.drift,
-                self._motion_memory,
-                self.actions_taken,
-            )
-        )
-        self._place, self._velocity = self.targets, self.target_velocity
+            self._place, self._velocity = convert(self._place), convert(self._velocity)
+        else:
+            self._place, self._velocity = self.targets, self.target_velocity
         self.counts = {name: convert(count) for name, count in self.counts.items()}
 
     def advance(self, steps: int, time_step: float) -> None:

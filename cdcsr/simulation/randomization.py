@@ -92,7 +92,7 @@ class Randomization:
 
     def begin(self, simulation: Simulation, ids: NDArray[np.int64]) -> None:
         """Give copies `ids` new plants, before they are reset."""
-        new = self._draw(len(ids))
+        new = self.draw(len(ids))
         for name, values in new.items():
             self.drawn[name][ids] = values
         simulation.set_parameters(ids, Parameters(**new))
@@ -103,7 +103,8 @@ class Randomization:
             values[:] = drawn[name]
         simulation.set_parameters(None, Parameters(**self.drawn))
 
-    def _draw(self, num: int) -> Drawn:
+    def draw(self, num: int) -> Drawn:
+        """Draw plants for `num` copies, by the names of :class:`Parameters`."""
         widths = self._scale * np.log(list(FACTORS.values()))
         factors = np.exp(self.rng.uniform(-1, 1, (num, len(FACTORS))) * widths)
         offset = self.rng.uniform(-1, 1, (num, self._cables)) * self._scale * self._offset

@@ -7,7 +7,7 @@ action is ignored, and it begins a new episode with that step.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import cast
 
@@ -18,15 +18,19 @@ from torch import Tensor
 
 from cdcsr.envs.episodes import Episodes
 from cdcsr.robot.description import Robot
+from cdcsr.simulation.contract import Simulation
+from cdcsr.simulation.randomization import Drawn
 from cdcsr.simulation.state import State
 from cdcsr.tasks.catalogue import actions_per_episode
 from cdcsr.tasks.observation import observation_size, observe, tip_distance
 from cdcsr.tasks.spaces import Space
+from cdcsr.tasks.starts import Start
 from cdcsr.tasks.target_motion import make_motion
 from cdcsr.tasks.task import Task
 from training.algorithms.reference_update import Layer, output
 from training.config.learner import Practising
-from training.device.doors import Door, Foreign
+from training.device.beginnings import Beginnings
+from training.device.doors import Door, Foreign, restore
 from training.device.graphs import Repeated
 from training.device.replay import DeviceReplay, Step
 from training.device.streams import Streams, keys
@@ -65,6 +69,8 @@ class DeviceCollector:
         module: an actor whose encoder, symmetry and servo range are those of all runs.
         replay: gets every step.
         device: where everything is.
+        states: pools of POOL starts for every run; none if episodes begin at rest.
+        plants: pools of plants for every run; none if all are as described.
 
     Attributes:
         tensors: all that changes besides the engine, the replay and the random numbers.
@@ -79,6 +85,8 @@ class DeviceCollector:
         module: Actor,
         replay: DeviceReplay,
         device: torch.device,
+        states: Sequence[Start] = (),
+        plants: Sequence[Drawn] = (),
     ) -> None:
         self.door, self._work, self._module, self._replay = door, work, module, replay
         self._state = door.device_state()
@@ -86,7 +94,8 @@ class DeviceCollector:
         self._shape = runs, copies
         self._actions = actions_per_episode(work.task.max_steps, work.frame_skip)
         self._step = robot.time_step
-        self._episodes = Episodes(runs * copies, work.task, work.space)
+        self._episodes = Episodes(runs * copies, work.task, work.space, bool(states))
+        self._beginnings = Beginnings(door, runs, states, plants, device)
         self._episodes.convert(lambda array: as_tensor(array, device))
         self.draws = Streams(keys(seeds, _PURPOSE), device)
         self._pool = _pool(work, seeds, device)
@@ -94,6 +103,7 @@ class DeviceCollector:
         self._scale = as_tensor(exploration_noise(learner), device)[None, :, None]
         self._hold, self._copy = learner.noise_hold, torch.arange(copies, device=device)
         self._endless = not work.task.ends and work.task.reward_kind == "sparse"
+        self._arrived = torch.zeros(runs * copies, robot.num_cables, device=device)
         self._pay = 1 - learner.discount if self._endless else 1.0
         self.tensors = self._zeros(robot, device)
         self.clone: list[Layer] | None = None
@@ -112,6 +122,7 @@ class DeviceCollector:
             **{name: torch.zeros(shape, device=device) for name, shape in floats.items()},
             **{name: torch.zeros(rows, dtype=torch.bool, device=device) for name in flags},
             **{name: torch.zeros(rows[0], dtype=torch.int64, device=device) for name in totals},
+            "chosen": torch.zeros(rows, dtype=torch.int64, device=device),
             "count": torch.zeros((), dtype=torch.int64, device=device),
         }
 
@@ -127,7 +138,8 @@ class DeviceCollector:
 
     def views(self, run: int) -> dict[str, Tensor]:
         """Return what changes of one run, as views, by name; two counts are those of all runs."""
-        found = {name: x[run] if x.dim() else x for name, x in self.tensors.items()}
+        own = self.tensors | self._beginnings.tensors
+        found = {name: x[run] if x.dim() else x for name, x in own.items()}
         for name, rows in cast(dict[str, Tensor], self._episodes.arrays()).items():
             found[f"episode.{name}"] = rows.view(*self._shape, *rows.shape[1:])[run]
         return found | {"drawn": self.draws.drawn}
@@ -141,8 +153,12 @@ class DeviceCollector:
         """
         self._actor, self.clone = actor, clone
         device = self.tensors["observation"].device
-        self._before, self._after = (Repeated(x, device) for x in (self._act, self._judge))
+        self._before, self._after, self._send = (
+            Repeated(x, device) for x in (self._act, self._judge, self._delay)
+        )
         everyone = torch.ones(self.door.num, dtype=torch.bool, device=device)
+        self._choose(everyone)
+        self._beginnings.set_plants()
         self.door.reset_device(everyone)
         self._restart(everyone)
         self._look()
@@ -151,13 +167,28 @@ class DeviceCollector:
         """Go on after so many steps; :meth:`start` was called, and then the state put back."""
         self._steps = steps
 
+    def restore(self, simulation: Simulation, arrays: Mapping[str, NDArray[np.float64]]) -> None:
+        """Put the engine back, after the tensors, to what :func:`snapshot_arrays` returned."""
+        self._beginnings.set_plants()
+        restore(simulation, self.door, arrays)
+
     def step(self) -> None:
         """Take one action in every copy."""
         self._steps += 1
         self._before()
-        command = self.tensors["command"].flatten(0, 1)
-        self.door.step_device(command, self._work.frame_skip, self._flat("last"))
+        fresh, skip = self._flat("last"), self._work.frame_skip
+        self._beginnings.set_plants(fresh)
+        if self._beginnings.delays:
+            for left in reversed(range(skip)):
+                self._send()
+                self.door.step_device(self._arrived, 1, None if left else fresh)
+        else:
+            self.door.step_device(self.tensors["command"].flatten(0, 1), skip, fresh)
         self._after()
+
+    def _delay(self) -> None:
+        """Find the commands that arrive in a time step."""
+        self._arrived.copy_(self._beginnings.arriving(self.tensors["command"].flatten(0, 1)))
 
     @torch.no_grad()
     def _act(self) -> None:
@@ -182,6 +213,7 @@ class DeviceCollector:
         stored = action if cables is None else action.gather(-1, cables)
         flags = now["last"], now["terminated"], now["dropped"]
         self._replay.write(Step(seen, stored, clone, *flags))
+        self._choose(self._flat("last"))
 
     @torch.no_grad()
     def _judge(self) -> None:
@@ -209,11 +241,18 @@ class DeviceCollector:
         self._restart(ended)
         self._look()
 
+    def _choose(self, fresh: Tensor) -> None:
+        """Choose targets, states and plants for copies that the next step puts to the start."""
+        self.tensors["chosen"].copy_(self.draws.below(POOL, self._shape[1]))
+        self._beginnings.choose(fresh, self.tensors["chosen"], self.draws)
+
     def _restart(self, fresh: Tensor) -> None:
-        """Give copies new targets."""
-        chosen = self.draws.below(POOL, self._shape[1])
-        begun = [table[self._run, chosen].flatten(0, 1) for table in self._pool]
+        """Give copies at the start their targets."""
+        chosen, drift = self.tensors["chosen"], self._beginnings.drift
+        tables = [*self._pool, *([] if drift is None else [drift])]
+        begun = [table[self._run, chosen].flatten(0, 1) for table in tables]
         self._episodes.restart(cast(Foreign, fresh), *cast(Foreign, begun))
+        self._beginnings.clear(fresh)
 
     def _look(self) -> None:
         """Observe the state as it is."""

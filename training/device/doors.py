@@ -14,6 +14,8 @@ from torch import Tensor
 from cdcsr.errors import Diverged
 from cdcsr.robot.description import Robot
 from cdcsr.simulation.contract import Simulation, Snapshot
+from cdcsr.simulation.plant import Parameters
+from cdcsr.simulation.randomization import Drawn
 from cdcsr.simulation.state import State
 
 Foreign = Any
@@ -55,6 +57,26 @@ class Door(Protocol):
         """Put copies back to the start; the mask has the shape (num,)."""
         ...
 
+    def set_start_device(self, position: Tensor, velocity: Tensor) -> None:
+        """Let copies start from now on in the states that stand in two tensors at that time.
+
+        Args:
+            position: as in a snapshot, shape (num, 7 + C + H); the base is unturned.
+            velocity: in the order of coordinates, shape (num, nv).
+        """
+        ...
+
+    def set_plants(self, plants: Drawn) -> None:
+        """Take note of P plants, by the names of `Parameters`, without late commands."""
+        ...
+
+    def change_plants(self, mask: Tensor, row: Tensor) -> None:
+        """Give copies of a mask, shape (num,), plants by their rows, shape (num,).
+
+        A copy whose cables get shorter must be put to the start next.
+        """
+        ...
+
     def close(self) -> None:
         """Release the engine."""
         ...
@@ -72,6 +94,8 @@ class HostDoor:
         self._simulation, self._device = simulation, device
         self.robot, self.num = simulation.robot, simulation.num
         self._lost = np.zeros(self.num, dtype=np.bool_)
+        self._start: tuple[Tensor, Tensor] | None = None
+        self._plants: Drawn = {}
         parts = {name: self._tensor(rows) for name, rows in self._arrays().items()}
         self._state = _HostState(**parts)
 
@@ -106,8 +130,25 @@ class HostDoor:
     def _reset(self, mask: Tensor) -> None:
         chosen = mask.cpu().numpy()
         self._lost[chosen] = False
-        if chosen.any():
+        if not chosen.any():
+            return
+        if self._start is None:
             self._simulation.reset(np.flatnonzero(chosen))
+        else:
+            state = (part[mask].cpu().numpy() for part in self._start)
+            self._simulation.place(np.flatnonzero(chosen), *state)
+
+    def set_start_device(self, position: Tensor, velocity: Tensor) -> None:
+        self._start = position, velocity
+
+    def set_plants(self, plants: Drawn) -> None:
+        self._plants = plants
+
+    def change_plants(self, mask: Tensor, row: Tensor) -> None:
+        ids, chosen = np.flatnonzero(mask.cpu().numpy()), row[mask].cpu().numpy()
+        if len(ids):
+            own = {name: values[chosen] for name, values in self._plants.items()}
+            self._simulation.set_parameters(ids, Parameters(**own))
 
     def close(self) -> None:
         self._simulation.close()

@@ -13,6 +13,7 @@ from cdcsr.envs.episodes import Episodes
 from cdcsr.simulation.state import State
 from cdcsr.tasks.catalogue import actions_per_episode
 from cdcsr.tasks.observation import observe, tip_distance
+from cdcsr.tasks.starts import Starts
 from training.algorithms.reference_update import Layer, output
 from training.device.collector import Work, as_tensor
 from training.device.doors import Door, Foreign
@@ -44,18 +45,32 @@ class DeviceTrial:
         seed: of the targets.
         module: an actor whose encoder, symmetry and servo range are those of all runs.
         device: where everything is.
+        starts: how episodes begin; by default at rest.
     """
 
     def __init__(
-        self, door: Door, work: Work, runs: int, seed: int, module: Actor, device: torch.device
+        self,
+        door: Door,
+        work: Work,
+        runs: int,
+        seed: int,
+        module: Actor,
+        device: torch.device,
+        starts: Starts | None = None,
     ) -> None:
         self._door, self._work, self._module = door, work, module
         self._state = door.device_state()
         self._shape = runs, door.num // runs
-        drawn = Episodes(self._shape[1], work.task, work.space)
-        drawn.begin(np.arange(self._shape[1]), np_random(seed)[0])
+        varies, rng = starts is not None and starts.varies, np_random(seed)[0]
+        drawn, drift = Episodes(self._shape[1], work.task, work.space, varies), None
+        if starts is not None and varies:
+            own = rng.spawn(2)[1]  # an environment's starts have its generator's second child
+            position, velocity, drift = starts.draw(own, self._shape[1])
+            rows = (as_tensor(np.tile(x, (runs, 1)), device) for x in (position, velocity))
+            door.set_start_device(*rows)
+        drawn.begin(np.arange(self._shape[1]), rng, drift=drift)
         self.targets = drawn.targets.copy()
-        self._episodes = Episodes(door.num, work.task, work.space)
+        self._episodes = Episodes(door.num, work.task, work.space, varies)
         self._first = {
             name: as_tensor(np.concatenate([rows] * runs), device)
             for name, rows in drawn.arrays().items()

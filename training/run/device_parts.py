@@ -21,15 +21,18 @@ from cdcsr.memory import check_memory
 from cdcsr.simulation.arguments import MOST_COPIES
 from cdcsr.simulation.contract import Simulation
 from cdcsr.simulation.engines import load_backend, make_simulation
+from cdcsr.simulation.randomization import Drawn, Randomization
 from cdcsr.tasks.catalogue import actions_per_episode, make_task
 from cdcsr.tasks.observation import observation_size
 from cdcsr.tasks.spaces import Space, make_space, wider_targets
+from cdcsr.tasks.starts import Starts
 from training.algorithms.bc import pairs
 from training.algorithms.registry import find_algorithm
 from training.algorithms.td3 import BackboneNumbers
 from training.config.learner import CloneStart, Cloning, Demonstrated
 from training.config.seeds import VALIDATION_SEED
-from training.device.collector import DeviceCollector, Work
+from training.device.beginnings import PLANTS, draw_states
+from training.device.collector import POOL, DeviceCollector, Work
 from training.device.doors import open_door
 from training.device.hindsight import HindsightReplay
 from training.device.imitation import imitate
@@ -84,23 +87,14 @@ def check_device(setup: Setup, runs: int, device: torch.device) -> None:
             f"{learner.num_envs} environments stores its last episode; found {learner.capacity}."
         )
     odd = kind.uses_clone or learner.symmetry or not task.ends or kind.reward != "sparse"
-    if learner.hindsight and odd:
+    if learner.hindsight and (odd or config.start != "still"):
         raise CdcsrError(
             f"hindsight must be 0 with device cuda for algorithms with a clone or a dense reward, "
-            f"with symmetry and for tasks that do not end; found {learner.hindsight}. Choose "
-            "device cpu."
+            f"with symmetry, for tasks that do not end and for starts that vary; found "
+            f"{learner.hindsight}. Choose device cpu."
         )
-    for name, value, only in (
-        ("bfloat16", learner.bfloat16, False),
-        ("start", config.start, "still"),
-        ("randomize", config.randomize, 0.0),
-        ("soften", config.soften, 0.0),
-    ):
-        if value != only:
-            raise CdcsrError(
-                f"{name} must be {only} with device cuda, which knows nothing else; found {value}. "
-                "Choose device cpu."
-            )
+    if learner.bfloat16:
+        raise CdcsrError("bfloat16 must be off with device cuda, which knows nothing else.")
     for name, copies in (
         ("num_envs", learner.num_envs),
         ("evaluate_episodes", config.evaluate_episodes),
@@ -172,7 +166,10 @@ def make_parts(setups: Sequence[Setup], device: torch.device) -> DeviceParts:
     else:
         replay = DeviceReplay(*rows)
     door = open_door(simulation, device)
-    collector = DeviceCollector(door, work, learner, seeds, module, replay, device)
+    states = draw_states(Starts(setups[0].config.start, robot), seeds, POOL)
+    plants = [_plants(setup) for setup in setups if setup.config.randomized]
+    pools = replay, device, states, plants
+    collector = DeviceCollector(door, work, learner, seeds, module, *pools)
     cloned = None if clones is None else side_by_side([stacked_actor(x) for x in clones], device)
     collector.start(networks.actor, None if cloned is None else copied(cloned))
     shown = None
@@ -184,7 +181,9 @@ def make_parts(setups: Sequence[Setup], device: torch.device) -> DeviceParts:
     )
     exam = make_simulation(robot, setups[0].config.backend, len(seeds) * episodes)
     aims = replace(work, space=make_space(setups[0].config.space, robot, setups[0].centers))
-    trial = DeviceTrial(open_door(exam, device), aims, len(seeds), VALIDATION_SEED, module, device)
+    starts = Starts(setups[0].config.start, robot, VALIDATION_SEED)
+    judged = aims, len(seeds), VALIDATION_SEED, module, device, starts
+    trial = DeviceTrial(open_door(exam, device), *judged)
     return DeviceParts(parts, simulation, trial, actors)
 
 
@@ -228,6 +227,12 @@ def _imitate(
         imitate(layers, hidden, learner, shown, seeds, purpose, progress)
     for run, actor in enumerate(actors):
         write_actor(layers, run, actor)
+
+
+def _plants(setup: Setup) -> Drawn:
+    """Draw the pool of a run's plants, with the generator that they have on a processor too."""
+    config, rng = setup.config, np.random.default_rng(setup.config.seed).spawn(4)[3]
+    return Randomization(setup.robot, 1, config.randomize, rng, config.soften).draw(PLANTS)
 
 
 def _space(setup: Setup, learner: BackboneNumbers) -> Space:

@@ -22,7 +22,7 @@ from cdcsr.errors import CdcsrError
 from cdcsr.files import read_json, write_json
 from cdcsr.tasks.catalogue import make_task
 from training.algorithms.td3 import BackboneNumbers
-from training.device.doors import restore, snapshot_arrays
+from training.device.doors import snapshot_arrays
 from training.device.networks import write_actor
 from training.device.trial import Outcome
 from training.measure.evaluation import Result
@@ -277,7 +277,7 @@ class DeviceRuns:
             )
             update, self._minutes_before = counters["update"], counters["minutes"]
         engine = {k: torch.cat([one[k] for one in arrays]).numpy() for k in arrays[0]}
-        restore(parts.simulation, learner.collector.door, engine)
+        learner.collector.restore(parts.simulation, engine)
         return update
 
     def _finish(self, actors: Sequence[Actor], updates: int, steps: int) -> list[Policy]:

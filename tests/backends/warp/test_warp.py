@@ -25,6 +25,8 @@ from cdcsr.robot.routing import routing
 from cdcsr.simulation.contract import Array, Simulation, State
 from cdcsr.simulation.engines import make_simulation
 from cdcsr.simulation.plant import Parameters
+from cdcsr.simulation.randomization import Randomization
+from cdcsr.tasks.starts import Starts
 from training.measure.trajectories import demonstrator_commands
 
 pytest.importorskip("mujoco_warp", reason="the extra gpu is not installed")
@@ -205,3 +207,45 @@ def test_a_step_can_end_with_a_restart(paper: Robot) -> None:
         for ours, theirs in zip(one.device_state(), other.device_state(), strict=True):
             assert torch.equal(ours, theirs)
     assert one.device_state().time.tolist() == pytest.approx([0.025, 0.06, 0.06, 0.025])
+
+
+def test_copies_begin_on_the_device_as_they_do_on_the_host(paper: Robot) -> None:
+    """In drawn states and with drawn plants, which move the tip to other places."""
+    one, other, plain = warp(paper), warp(paper), warp(paper)
+    states = Starts("anywhere", paper).draw(np.random.default_rng(1), NUM)
+    plants = Randomization(paper, 1, 1.0, np.random.default_rng(2)).draw(6)
+    del plants["command_delay"]
+    fresh, row = torch.tensor([True, False, True, False]), torch.tensor([5, 0, 3, 0])
+    ids, commands = np.flatnonzero(fresh), commands_of(paper, 30, NUM, hold=5)
+    single = [part.astype(np.float32) for part in states[:2]]
+    short = np.maximum(-plants["rest_length_offset"][row[ids]], 0)
+    single[0][ids, 7:15] += short.astype(np.float32)
+    one.set_plants(plants)
+    one.set_start_device(*map(torch.from_numpy, single))
+    for number, command in enumerate(commands):
+        tensor = torch.tensor(command, dtype=torch.float32)
+        if number == 7:
+            one.change_plants(fresh, row)
+        one.step_device(tensor, 1, fresh if number == 7 else None)
+        other.step(command)
+        plain.step(command)
+        if number == 7:
+            own = {name: rows[row[ids]] for name, rows in plants.items()}
+            other.set_parameters(ids, Parameters(**own))
+            for simulation in (other, plain):
+                simulation.place(ids, *(part[ids].astype(np.float64) for part in single))
+    assert_same(one.state(), other.state())
+    moved = np.linalg.norm(other.state().tip_position - plain.state().tip_position, axis=1)
+    assert moved[ids].min() > 1e-3
+
+
+def test_a_start_of_another_shape_is_refused(paper: Robot) -> None:
+    one, size = warp(paper), paper.num_coordinates
+    position, velocity = torch.zeros(NUM, size + 1), torch.zeros(NUM, size)
+    with pytest.raises(CdcsrError, match=r"start's velocity must have the shape \(4, 38\)"):
+        one.set_start_device(position, position)
+    with pytest.raises(CdcsrError, match=r"start's position must have the shape \(4, 39\)"):
+        one.set_start_device(position[:3], velocity)
+    rough = {"guide_friction": np.full((2, paper.num_cables), 0.1)}
+    with pytest.raises(CdcsrError, match="warp has no friction in guides"):
+        one.set_plants(rough)

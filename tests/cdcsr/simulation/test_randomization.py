@@ -26,7 +26,7 @@ def _randomization(robot: Robot, num: int, scale: float, seed: int = 0) -> Rando
 def test_draws_fill_their_ranges(robot: Robot, scale: float) -> None:
     num = 2000
     randomization = _randomization(robot, num, scale)
-    drawn = randomization._draw(num)
+    drawn = randomization.draw(num)
     for name, width in FACTORS.items():
         logarithm = np.log(drawn[name]) / (scale * np.log(width))
         assert 0.97 < logarithm.max() <= 1
@@ -40,15 +40,15 @@ def test_draws_fill_their_ranges(robot: Robot, scale: float) -> None:
 
 def test_cables_of_a_small_robot_differ_by_as_much_less() -> None:
     """The pitch radius of the arm of 0.12 m is a twentieth of the paper's, 20 mm."""
-    offset = _randomization(load_robot("bench-arm"), 200, 1.0)._draw(200)["rest_length_offset"]
+    offset = _randomization(load_robot("bench-arm"), 200, 1.0).draw(200)["rest_length_offset"]
     assert 0.99e-3 < np.abs(offset).max() <= 1e-3
 
 
 def test_soft_cables_stretch_and_nothing_else_changes(robot: Robot) -> None:
     """All cables of a copy stretch alike, by up to 1e-4 of their length for each newton."""
-    plain = _randomization(robot, 500, 1.0)._draw(500)
+    plain = _randomization(robot, 500, 1.0).draw(500)
     random = np.random.default_rng(0)
-    soft = Randomization(robot, 500, 1.0, random, softness=2.0)._draw(500)
+    soft = Randomization(robot, 500, 1.0, random, softness=2.0).draw(500)
     strain = soft.pop("cable_strain")
     assert strain.shape == (500, robot.num_cables)
     assert (strain == strain[:, :1]).all()

@@ -13,10 +13,14 @@ from numpy.typing import NDArray
 from cdcsr.envs.gym_env import TaskVectorEnv
 from cdcsr.robot.description import load_robot
 from cdcsr.simulation.engines import make_simulation
+from cdcsr.simulation.plant import Parameters
+from cdcsr.simulation.randomization import Randomization
 from cdcsr.tasks.catalogue import make_task
 from cdcsr.tasks.observation import observation_size, observe
+from cdcsr.tasks.starts import Starts
 from training.config.learner import Practising
-from training.device.collector import DeviceCollector, Work
+from training.device.beginnings import draw_states
+from training.device.collector import POOL, DeviceCollector, Work
 from training.device.doors import HostDoor
 from training.device.networks import side_by_side, stacked_actor
 from training.device.replay import DeviceReplay
@@ -34,7 +38,9 @@ RUNS, COPIES, ROWS = 2, 3, 400
 class _Collected:
     """A collector with wild actors at a task, and an environment to compare it with."""
 
-    def __init__(self, seeds: tuple[int, ...] = (0, 1), **options: Any) -> None:
+    def __init__(
+        self, seeds: tuple[int, ...] = (0, 1), randomize: float = 0.0, **options: Any
+    ) -> None:
         learner = Practising(num_envs=COPIES, exploration_noise=0.6, noise_hold=5)
         num, symmetry = len(seeds) * COPIES, bool(options.pop("symmetry", False))
         self.env = TaskVectorEnv(
@@ -51,9 +57,11 @@ class _Collected:
             actors.append(Actor(PAPER, True, (8,), "relu", symmetry))
         self.layers = side_by_side([stacked_actor(x) for x in actors], CPU)
         work = Work(self.env.task, self.env.space, 10)
-        self.collector = DeviceCollector(
-            self.door, work, learner, seeds, actors[0], self.replay, CPU
-        )
+        self.states = draw_states(Starts(self.env.start, PAPER), seeds, POOL)
+        plants = [Randomization(PAPER, 1, randomize, np.random.default_rng(s)) for s in seeds]
+        self.plants = [each.draw(50) for each in plants if randomize]
+        pools = self.replay, CPU, self.states, self.plants
+        self.collector = DeviceCollector(self.door, work, learner, seeds, actors[0], *pools)
 
     def flat(self, name: str) -> NDArray[Any]:
         """Return one of the collector's tensors, a row for each copy of the engine."""
@@ -64,6 +72,29 @@ class _Collected:
         for name, rows in self.env._episodes.arrays().items():
             runs = [self.collector.views(run)[f"episode.{name}"] for run in range(RUNS)]
             rows[:] = torch.cat(runs).numpy()
+
+    def begin(self, ids: NDArray[np.int64]) -> None:
+        """Put copies of the environment to the beginnings that the collector has chosen."""
+        run, simulation = ids // COPIES, self.env.simulation
+        if self.plants:
+            plant = self.collector.views(0)["plant"], self.collector.views(1)["plant"]
+            row = torch.cat(plant).numpy()[ids]
+            own = {
+                name: np.stack([self.plants[r][name][i] for r, i in zip(run, row, strict=True)])
+                for name in self.plants[0]
+            }
+            simulation.set_parameters(ids, Parameters(**own))
+        if not self.states:
+            simulation.reset(ids)
+            return
+        chosen = self.flat("chosen")[ids]
+        states = [
+            np.stack([self.states[r][part][i] for r, i in zip(run, chosen, strict=True)])
+            for part in range(2)
+        ]
+        states[0][:, 7:15] += simulation.plant.start_travel[ids]
+        single = (part.astype(np.float32).astype(np.float64) for part in states)
+        simulation.place(ids, *single)
 
     def close(self) -> None:
         self.env.close()
@@ -79,6 +110,9 @@ class _Collected:
         {"task": "follow-circle", "max_steps": 300, "threshold": 0.6},
         {"task": "follow-random", "max_steps": 200, "threshold": 0.6},
         {"reward": "dense", "max_steps": 300, "threshold": 0.4, "quiet": True},
+        {"start": "anywhere", "max_steps": 300, "threshold": 0.45},
+        {"start": "moving", "max_steps": 200, "threshold": 0.5, "randomize": 2.0},
+        {"max_steps": 200, "threshold": 0.5, "randomize": 2.0},
     ],
 )
 def test_a_step_is_that_of_the_environment(options: dict[str, Any]) -> None:
@@ -86,6 +120,7 @@ def test_a_step_is_that_of_the_environment(options: dict[str, Any]) -> None:
     collector, env, counts = both.collector, both.env, np.zeros(2)
     collector.start(both.layers, None)
     env.reset(seed=0)
+    both.begin(np.arange(env.num_envs))
     for step in range(2 * env.max_actions + 2):
         both.follow()
         ended = both.flat("last")
@@ -100,7 +135,7 @@ def test_a_step_is_that_of_the_environment(options: dict[str, Any]) -> None:
             np.testing.assert_array_equal(both.flat(name), flags & ~ended)
         counts += [(terminated & ~ended).sum(), (truncated & ~ended).sum()]
         if ended.any():
-            env.simulation.reset(np.flatnonzero(ended))
+            both.begin(np.flatnonzero(ended))
     assert counts[0] > 0 or not env.task.ends  # both kinds of end were seen
     assert counts[1] > 0
     totals = collector.tensors["episodes"].sum(), collector.tensors["diverged"].sum()
@@ -158,13 +193,22 @@ def test_a_run_collects_alone_what_it_collects_beside_others() -> None:
         one.close()
 
 
-@pytest.mark.parametrize("task", ["reach", "capture-drift", "follow-circle"])
-def test_a_trial_measures_what_an_evaluation_does(task: str) -> None:
+@pytest.mark.parametrize(
+    ("task", "start"),
+    [
+        ("reach", "still"),
+        ("reach", "anywhere"),
+        ("capture-drift", "moving"),
+        ("follow-circle", "still"),
+    ],
+)
+def test_a_trial_measures_what_an_evaluation_does(task: str, start: str) -> None:
     shipped = load_policy(shipped_policies()["batd3-spatter-mujoco"])
-    own = evaluate(shipped, PAPER, "mujoco", "spatter", 20, 7, task=task)
+    own = evaluate(shipped, PAPER, "mujoco", "spatter", 20, 7, task=task, start=start)
     env = TaskVectorEnv(1, PAPER, space="spatter", task=task, centers=shipped.centers)
     door = HostDoor(make_simulation(PAPER, "mujoco", 40), CPU)
-    trial = DeviceTrial(door, Work(env.task, env.space, 1), 2, 7, shipped.actor, CPU)
+    work, starts = Work(env.task, env.space, 1), Starts(start, PAPER, 7)
+    trial = DeviceTrial(door, work, 2, 7, shipped.actor, CPU, starts)
     np.testing.assert_array_equal(trial.targets, own.targets)
     idle = deepcopy(shipped.actor)
     torch.nn.init.zeros_(idle.net[-1].weight)  # type: ignore[arg-type]

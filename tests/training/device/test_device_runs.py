@@ -157,9 +157,10 @@ class _Clock:
 def test_runs_resume_to_the_bit(
     tmp_path: Path, demonstrations: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    whole = tiny_device_run(tmp_path / "whole", demonstrations, seeds="0:2")
+    options: dict[str, Any] = {"seeds": "0:2", "start": "moving", "randomize": 1.0}
+    whole = tiny_device_run(tmp_path / "whole", demonstrations, **options)
     train_on_device(whole, CPU)
-    parts = tiny_device_run(tmp_path / "parts", demonstrations, seeds="0:2", stop_after=0.0)
+    parts = tiny_device_run(tmp_path / "parts", demonstrations, stop_after=0.0, **options)
     # Before any episode has ended, and when copies are in their second or third.
     for calls, least, most in (0, 1, 1), (40, 32, 79):
         monkeypatch.setattr("training.run.device_run.time", _Clock(calls))
@@ -168,7 +169,7 @@ def test_runs_resume_to_the_bit(
         assert least <= card["unfinished"]["update"] <= most
         assert (tmp_path / "parts/s1/first.safetensors").exists()
     monkeypatch.undo()
-    train_on_device(tiny_device_run(tmp_path / "parts", demonstrations, seeds="0:2"), CPU)
+    train_on_device(tiny_device_run(tmp_path / "parts", demonstrations, **options), CPU)
     for run in ("s0", "s1"):
         again = _weights(tmp_path / "parts" / run)
         for name, weights in _weights(tmp_path / "whole" / run).items():
@@ -249,8 +250,7 @@ def test_a_kill_between_checkpoints_loses_none(
 @pytest.mark.parametrize(
     ("options", "message"),
     [
-        ({"start": "anywhere"}, "start must be still with device cuda"),
-        ({"randomize": 1.0}, "randomize must be 0.0 with device cuda"),
+        ({"algorithm": "her", "start": "moving"}, "hindsight must be 0 with device cuda for"),
         ({"numbers": {"hindsight": 2}}, "hindsight must be 0 with device cuda for algorithms with"),
         ({"numbers": {"capacity": 100}}, "capacity must be at least 108 with device cuda"),
         ({"seeds": "3"}, "seeds must be like 0:10"),
@@ -327,7 +327,8 @@ def test_a_policy_learned_on_a_device_reaches(tmp_path: Path) -> None:
 @pytest.mark.slow
 def test_the_door_of_warp_is_used(tmp_path: Path, demonstrations: Path) -> None:
     pytest.importorskip("mujoco_warp", reason="the extra gpu is not installed")
-    options = {"backend": "warp:device=cpu", "seeds": "0:2", "updates": 30, "evaluate_every": 15}
+    options: dict[str, Any] = {"backend": "warp:device=cpu", "start": "moving", "randomize": 1.0}
+    options |= {"seeds": "0:2", "updates": 30, "evaluate_every": 15}
     first = tiny_device_run(tmp_path / "runs", demonstrations, stop_after=0.0, **options)
     train_on_device(first, CPU)
     train_on_device(tiny_device_run(tmp_path / "runs", demonstrations, **options), CPU)

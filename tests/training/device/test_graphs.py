@@ -11,6 +11,7 @@ import torch
 from torch.utils._python_dispatch import TorchDispatchMode
 
 from cdcsr.simulation.contract import Simulation
+from cdcsr.simulation.randomization import Drawn
 from tests.support.tiny import tiny_device_run
 from training.device.doors import DeviceState, HostDoor
 from training.run.device_parts import make_parts
@@ -35,6 +36,15 @@ class _StillRobots:
     def reset_device(self, mask: torch.Tensor) -> None:
         pass
 
+    def set_start_device(self, *_: torch.Tensor) -> None:
+        pass
+
+    def set_plants(self, plants: Drawn) -> None:
+        pass
+
+    def change_plants(self, *_: torch.Tensor) -> None:
+        pass
+
     def close(self) -> None:
         pass
 
@@ -56,17 +66,18 @@ class _Waiting(TorchDispatchMode):
 
 
 @pytest.mark.parametrize(
-    ("algorithm", "task", "numbers"),
+    ("algorithm", "task", "numbers", "options"),
     [
-        ("clasp", "reach", {"symmetry": True}),
-        ("her", "reach", {}),
-        ("rlpd", "follow-random", {"symmetry": True}),
+        ("clasp", "reach", {"symmetry": True}, {"start": "moving", "randomize": 2.0}),
+        ("her", "reach", {}, {}),
+        ("rlpd", "follow-random", {"symmetry": True}, {}),
     ],
 )
 def test_a_graph_can_hold_all_work(
     algorithm: str,
     task: str,
     numbers: dict[str, Any],
+    options: dict[str, Any],
     tmp_path: Path,
     demonstrations: Path,
     monkeypatch: pytest.MonkeyPatch,
@@ -74,7 +85,7 @@ def test_a_graph_can_hold_all_work(
     monkeypatch.setattr("training.run.device_parts.open_door", _StillRobots)
     given = demonstrations if task == "reach" else None
     config = tiny_device_run(
-        tmp_path / "run", demonstrations, algorithm, task=task, numbers=numbers
+        tmp_path / "run", demonstrations, algorithm, task=task, numbers=numbers, **options
     )
     parts = make_parts([Setup(replace(config, demonstrations=given))], CPU)
     learner = parts.learner
