@@ -47,7 +47,7 @@ def experiments(
         budget: quick is a smoke test; paper has the lengths and seeds of the paper.
         jobs: runs side by side on this machine; by default as many as it has processors.
         executor: ray spreads the runs over a Ray cluster whose nodes share the folders; gpu trains
-            runs that differ only in their seeds side by side on a GPU, then evaluates as local.
+            the seeds and spaces of a method side by side on a GPU, then evaluates as local.
         address: address of that cluster; by default a new one is started on this machine.
         runs: folder of the training runs, with their logs and weights.
         results: working folder of the results, a few small files a run.

@@ -49,12 +49,12 @@ class Work:
 
     Attributes:
         task: with the time between actions.
-        space: where targets are drawn.
+        spaces: where the targets of each run are drawn.
         frame_skip: simulation steps for each action.
     """
 
     task: Task
-    space: Space
+    spaces: Sequence[Space]
     frame_skip: int
 
 
@@ -94,7 +94,7 @@ class DeviceCollector:
         self._shape = runs, copies
         self._actions = actions_per_episode(work.task.max_steps, work.frame_skip)
         self._step = robot.time_step
-        self._episodes = Episodes(runs * copies, work.task, work.space, bool(states))
+        self._episodes = Episodes(runs * copies, work.task, work.spaces[0], bool(states))
         self._beginnings = Beginnings(door, runs, states, plants, device)
         self._episodes.convert(lambda array: as_tensor(array, device))
         self.draws = Streams(keys(seeds, _PURPOSE), device)
@@ -268,9 +268,9 @@ class DeviceCollector:
 def _pool(work: Work, seeds: Sequence[int], device: torch.device) -> tuple[Tensor, ...]:
     """Draw targets and their motions for every run: shapes (S, POOL, ...)."""
     motion, drawn = make_motion(work.task.motion, work.task.size, work.task.pace), []
-    for seed in seeds:
+    for seed, space in zip(seeds, work.spaces, strict=True):
         rng = np.random.default_rng(seed)
-        place = work.space.sample(rng, POOL)
+        place = space.sample(rng, POOL)
         drawn.append((place, *motion.begin(rng, place)))
     return tuple(as_tensor(np.stack(parts), device) for parts in zip(*drawn, strict=True))
 

@@ -40,19 +40,20 @@ class DeviceTrial:
 
     Args:
         door: the engine's copies, S times V.
-        work: the task, and where targets lie.
-        runs: S.
+        work: the task, and where the targets of each run lie.
         seed: of the targets.
         module: an actor whose encoder, symmetry and servo range are those of all runs.
         device: where everything is.
         starts: how episodes begin; by default at rest.
+
+    Attributes:
+        targets: where targets begin, shape (S, V, 3), in [m].
     """
 
     def __init__(
         self,
         door: Door,
         work: Work,
-        runs: int,
         seed: int,
         module: Actor,
         device: torch.device,
@@ -60,20 +61,23 @@ class DeviceTrial:
     ) -> None:
         self._door, self._work, self._module = door, work, module
         self._state = door.device_state()
+        runs = len(work.spaces)
         self._shape = runs, door.num // runs
-        varies, rng = starts is not None and starts.varies, np_random(seed)[0]
-        drawn, drift = Episodes(self._shape[1], work.task, work.space, varies), None
+        varies, drift = starts is not None and starts.varies, None
         if starts is not None and varies:
-            own = rng.spawn(2)[1]  # an environment's starts have its generator's second child
+            # An environment's starts have the second child of its generator.
+            own = np_random(seed)[0].spawn(2)[1]
             position, velocity, drift = starts.draw(own, self._shape[1])
             rows = (as_tensor(np.tile(x, (runs, 1)), device) for x in (position, velocity))
             door.set_start_device(*rows)
-        drawn.begin(np.arange(self._shape[1]), rng, drift=drift)
-        self.targets = drawn.targets.copy()
-        self._episodes = Episodes(door.num, work.task, work.space, varies)
+        drawn = [Episodes(self._shape[1], work.task, space, varies) for space in work.spaces]
+        for each in drawn:
+            each.begin(np.arange(self._shape[1]), np_random(seed)[0], drift=drift)
+        self.targets = np.stack([each.targets for each in drawn])
+        self._episodes = Episodes(door.num, work.task, work.spaces[0], varies)
         self._first = {
-            name: as_tensor(np.concatenate([rows] * runs), device)
-            for name, rows in drawn.arrays().items()
+            name: as_tensor(np.concatenate([each.arrays()[name] for each in drawn]), device)
+            for name in drawn[0].arrays()
         }
         self._episodes.convert(lambda array: as_tensor(array, device))
         self._most = actions_per_episode(work.task.max_steps, work.frame_skip)

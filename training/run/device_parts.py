@@ -134,7 +134,8 @@ def _extent(
 
 
 def make_parts(setups: Sequence[Setup], device: torch.device) -> DeviceParts:
-    """Make the parts of runs that differ in nothing but their seeds; all have begun."""
+    """Make the parts of runs that differ in seeds, and in spaces with the same demonstrations; all
+    have begun."""
     kind, learner = find_algorithm(setups[0].config.algorithm).learner, setups[0].learner
     assert kind is not None
     assert isinstance(learner, BackboneNumbers)
@@ -151,7 +152,7 @@ def make_parts(setups: Sequence[Setup], device: torch.device) -> DeviceParts:
         _imitate("actor", setups, actors, _START, device)
     # The environment says what the task is with its period.
     env = setups[0].environment(1, setups[0].config.space)
-    work = Work(env.task, _space(setups[0], learner), env.frame_skip)
+    work = Work(env.task, [_space(setup, learner) for setup in setups], env.frame_skip)
     env.close()
     kept = [
         _prefilled(setup, actor, clone, work, learner)
@@ -180,9 +181,9 @@ def make_parts(setups: Sequence[Setup], device: torch.device) -> DeviceParts:
         learner, networks, collector, replay, module.encoder, shown, seeds, device
     )
     exam = make_simulation(robot, setups[0].config.backend, len(seeds) * episodes)
-    aims = replace(work, space=make_space(setups[0].config.space, robot, setups[0].centers))
+    spaces = [make_space(setup.config.space, robot, setup.centers) for setup in setups]
     starts = Starts(setups[0].config.start, robot, VALIDATION_SEED)
-    judged = aims, len(seeds), VALIDATION_SEED, module, device, starts
+    judged = replace(work, spaces=spaces), VALIDATION_SEED, module, device, starts
     trial = DeviceTrial(open_door(exam, device), *judged)
     return DeviceParts(parts, simulation, trial, actors)
 

@@ -58,8 +58,8 @@ def train_on_device(config: Train, device: torch.device) -> list[Policy]:
 
 
 def train_side_by_side(configs: Sequence[Train], device: torch.device) -> list[Policy]:
-    """Carry out runs that differ only in their seeds and folders; raises as
-    :func:`train_on_device`."""
+    """Carry out runs that differ only in their folders, seeds and spaces, and learn from the same
+    demonstrations; raises as :func:`train_on_device`."""
     if device.type == "cuda" and not torch.cuda.is_available():
         raise CdcsrError("PyTorch finds no GPU for device cuda here; choose device cpu.")
     torch.set_num_threads(1)
@@ -109,7 +109,7 @@ class DeviceRuns:
             DeviceRuns(left, self.device).carry_out()
             return [load_policy(folder) for folder in self._folders]
         for setup in self.setups[1:]:
-            setup.episodes = self.setups[0].episodes  # demonstrations do not depend on the seed
+            setup.episodes = self.setups[0].episodes  # the same for all seeds and these spaces
         learner = self.setups[0].learner
         if not isinstance(learner, BackboneNumbers):  # supervised
             return self._finish(make_clones(self.setups, self.device), 0, 0)
@@ -209,7 +209,7 @@ class DeviceRuns:
         length = np.where(success, outcome.length[run].numpy() * setup.frame_skip, most)
         distance = outcome.distance[run].numpy().astype(np.float64)
         lost = int(outcome.diverged[run].sum())
-        return Result(success, length, distance, parts.trial.targets, lost)
+        return Result(success, length, distance, parts.trial.targets[run], lost)
 
     def _save(self, parts: DeviceParts, update: int) -> None:
         """Write a checkpoint of every run: all of them are replaced, or none."""

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 import torch
+from gymnasium.utils.seeding import np_random
 from numpy.typing import NDArray
 
 from cdcsr.envs.gym_env import TaskVectorEnv
@@ -17,6 +18,7 @@ from cdcsr.simulation.plant import Parameters
 from cdcsr.simulation.randomization import Randomization
 from cdcsr.tasks.catalogue import make_task
 from cdcsr.tasks.observation import observation_size, observe
+from cdcsr.tasks.spaces import make_space
 from cdcsr.tasks.starts import Starts
 from training.config.learner import Practising
 from training.device.beginnings import draw_states
@@ -56,7 +58,7 @@ class _Collected:
             torch.manual_seed(seed)
             actors.append(Actor(PAPER, True, (8,), "relu", symmetry))
         self.layers = side_by_side([stacked_actor(x) for x in actors], CPU)
-        work = Work(self.env.task, self.env.space, 10)
+        work = Work(self.env.task, [self.env.space] * len(seeds), 10)
         self.states = draw_states(Starts(self.env.start, PAPER), seeds, POOL)
         plants = [Randomization(PAPER, 1, randomize, np.random.default_rng(s)) for s in seeds]
         self.plants = [each.draw(50) for each in plants if randomize]
@@ -207,9 +209,11 @@ def test_a_trial_measures_what_an_evaluation_does(task: str, start: str) -> None
     own = evaluate(shipped, PAPER, "mujoco", "spatter", 20, 7, task=task, start=start)
     env = TaskVectorEnv(1, PAPER, space="spatter", task=task, centers=shipped.centers)
     door = HostDoor(make_simulation(PAPER, "mujoco", 40), CPU)
-    work, starts = Work(env.task, env.space, 1), Starts(start, PAPER, 7)
-    trial = DeviceTrial(door, work, 2, 7, shipped.actor, CPU, starts)
-    np.testing.assert_array_equal(trial.targets, own.targets)
+    other = make_space("anchor", PAPER)
+    work, starts = Work(env.task, [env.space, other], 1), Starts(start, PAPER, 7)
+    trial = DeviceTrial(door, work, 7, shipped.actor, CPU, starts)
+    np.testing.assert_array_equal(trial.targets[0], own.targets)
+    np.testing.assert_array_equal(trial.targets[1], other.sample(np_random(7)[0], 20))
     idle = deepcopy(shipped.actor)
     torch.nn.init.zeros_(idle.net[-1].weight)  # type: ignore[arg-type]
     layers = side_by_side([stacked_actor(shipped.actor), stacked_actor(idle)], CPU)

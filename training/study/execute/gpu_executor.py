@@ -1,4 +1,7 @@
-"""Do jobs with a GPU: runs that differ only in their seeds are trained side by side on it."""
+"""Do jobs with a GPU: runs that share all shapes are trained side by side on it.
+
+Those are runs that differ only in their seeds, and in spaces whose demonstrations are the same.
+"""
 
 from __future__ import annotations
 
@@ -11,8 +14,10 @@ import torch
 
 from cdcsr.errors import CdcsrError
 from cdcsr.leftovers import make_folder
+from cdcsr.tasks.spaces import demonstration_space
 from training.config.run_description import RunDescription
 from training.run.device_run import train_side_by_side
+from training.study.declare.budgets import Budget
 from training.study.execute.jobs import SUMMARY, Job
 from training.study.execute.local import Outcome, carry_out_here, duration
 
@@ -25,7 +30,7 @@ def carry_out_on_gpu(
     Runs that fail, or at which another process is, do not stop the others.
 
     Args:
-        jobs: the jobs; those that differ only in their seeds are trained together.
+        jobs: the jobs.
         runs: folder of the training runs.
         results: working folder of the results.
         slots: how many evaluations run at once.
@@ -42,8 +47,8 @@ def carry_out_on_gpu(
         raise CdcsrError(f"Cannot make the folder {runs}: {error.strerror}.") from None
     groups, failed = side_by_side(jobs, runs, results), dict[str, str]()
     for number, group in enumerate(groups, 1):
-        seeds = ", ".join(str(job.spec.seed) for job in group)
-        what = f"[{number}/{len(groups)}] {group[0].name}, seeds {seeds}"
+        more = f" and {len(group) - 1} beside it" if len(group) > 1 else ""
+        what = f"[{number}/{len(groups)}] {group[0].name}{more}"
         print(f"{what}: started", flush=True)
         started = time.monotonic()
         try:
@@ -60,10 +65,13 @@ def carry_out_on_gpu(
 
 
 def side_by_side(jobs: Sequence[Job], runs: Path, results: Path) -> list[list[Job]]:
-    """Return the jobs that are still to be trained; those in a list differ only in their seeds."""
-    groups: dict[tuple[RunDescription, object], list[Job]] = {}
+    """Return the jobs that are still to be trained; those in a list are trained together."""
+    groups: dict[tuple[RunDescription, Budget], list[Job]] = {}
     for job in jobs:
         trained = (runs / job.name / SUMMARY).is_file() or job.is_done(results)
         if job.spec.trains and not trained:
-            groups.setdefault((replace(job.spec, seed=0), job.budget), []).append(job)
+            # A radius is that of the balls of one space.
+            space = job.spec.space if job.spec.radius else demonstration_space(job.spec.space)
+            alike = replace(job.spec, seed=0, space=space)
+            groups.setdefault((alike, job.budget), []).append(job)
     return list(groups.values())

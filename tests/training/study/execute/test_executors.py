@@ -240,11 +240,12 @@ def test_without_ray_or_without_a_cluster_one_line_says_so(
         carry_out_on_ray([_JOB], tmp_path / "runs", tmp_path / "results", None)
 
 
-def test_runs_that_differ_in_their_seeds_are_trained_together(
+def test_runs_that_share_all_shapes_are_trained_together(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     runs, results, device = tmp_path / "runs", tmp_path / "results", torch.device("cpu")
     pair, other = [_job("td3", seed) for seed in (3, 4)], tiny_job(70)
+    pair[1] = replace(pair[1], spec=replace(pair[1].spec, space="spatter"))
     wrong = tiny_job(start="anywhere", algorithm="drldr", task="quiet")
     wanted = [pair[0], other, wrong, pair[1], tiny_job(0, algorithm="jacobian")]
     wanted = [replace(job, evaluations=()) for job in wanted]
@@ -258,8 +259,8 @@ def test_runs_that_differ_in_their_seeds_are_trained_together(
     monkeypatch.setattr("training.study.execute.gpu_executor.carry_out_here", evaluate)
     outcome = carry_out_on_gpu(wanted, runs, results, 5, device)
     said = capsys.readouterr().out
-    assert f"[1/3] {pair[0].name}, seeds 3, 4: trained in" in said
-    assert f"[3/3] {wrong.name}, seeds 0: failed, " in said
+    assert f"[1/3] {pair[0].name} and 1 beside it: trained in" in said
+    assert f"[3/3] {wrong.name}: failed, " in said
     assert set(outcome.failed) == {wrong.name}
     assert set(outcome.finished) == {job.name for job in wanted if job.name != wrong.name}
     weights = {(runs / job.name / "policy.safetensors").read_bytes() for job in (*pair, other)}
