@@ -6,7 +6,7 @@ import platform
 import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import closing
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from importlib.metadata import PackageNotFoundError, version
 from itertools import count
@@ -20,6 +20,7 @@ from cdcsr.errors import CdcsrError
 from cdcsr.robot.description import Robot
 from cdcsr.simulation.benchmarks import Measurement
 from cdcsr.simulation.engines import make_simulation
+from training.algorithms.registry import ALGORITHMS, find_algorithm
 from training.config.run_description import Changes
 from training.device.doors import open_door
 from training.run.device_parts import DeviceParts, make_parts
@@ -42,11 +43,14 @@ class Extent:
     steps: int = 200
     seeds: int = 10
     reach_minutes: float = 1.0
-    capture_minutes: float = 2.5
+    capture_minutes: float = 2.0
     changes: Changes = ()
     """Numbers of the learner that are not those of the preset `gpu`."""
     evaluate_every: int = 500
     evaluate_episodes: int = 100
+    methods: tuple[str, ...] = tuple(name for name, one in ALGORITHMS.items() if one.learner)
+    """Of the grid whose duration is estimated."""
+    spaces: int = 3
 
 
 def gpu(robot: Robot, device: torch.device, extent: Extent | None = None) -> Iterator[Measurement]:
@@ -67,6 +71,7 @@ def gpu(robot: Robot, device: torch.device, extent: Extent | None = None) -> Ite
     yield from _physics(robot, device, extent)
     yield from _learner(device, extent)
     yield from _success(device, extent)
+    yield from _grid(device, extent)
 
 
 def _machine(device: torch.device) -> Measurement:
@@ -127,11 +132,8 @@ def _learner(device: torch.device, extent: Extent) -> Iterator[Measurement]:
     for seeds in (1, extent.seeds):
         with TemporaryDirectory() as folder:
             config = _config(Path(folder), extent, "spatter", "reach", None, seeds)
-            parts = make_parts([Setup(one) for one in config.each_seed()], device)
-            try:
+            with closing(_begun(config, device)) as parts:
                 update, step = _timed(parts, device, extent.steps)
-            finally:
-                parts.close()
         rounds[seeds] = step
         runs = "one run" if seeds == 1 else f"{seeds} runs side by side"
         yield Measurement(f"gpu_update_{seeds}", 1e3 * update, f"ms an update of {runs}")
@@ -143,6 +145,48 @@ def _learner(device: torch.device, extent: Extent) -> Iterator[Measurement]:
         rounds[extent.seeds] / rounds[1],
         f"time of {extent.seeds} runs side by side over that of one",
     )
+
+
+def _grid(device: torch.device, extent: Extent) -> Iterator[Measurement]:
+    """Estimate how long all seeds of all methods take in all spaces, a method after the other.
+
+    What each needs before it learns is measured whole, then some of its updates, without the
+    measurements on validation targets.
+    """
+    total, runs = 0.0, extent.spaces * extent.seeds
+    for method in extent.methods:
+        start = time.perf_counter()
+        with TemporaryDirectory() as folder:
+            config = _config(Path(folder), extent, "spatter", "reach", None, runs)
+            config = replace(config, algorithm=method, updates=0, changes=_known(method, extent))
+            with closing(_begun(config, device)) as parts:
+                _wait(device)
+                ready = time.perf_counter() - start
+                step = _timed(parts, device, extent.steps)[1]
+            updates = parts.learner.learner.updates
+        minutes = (ready + step * updates / 2) / 60
+        total += minutes
+        yield Measurement(
+            f"gpu_grid_{method}",
+            minutes,
+            f"min for {updates:,} updates of {runs} runs of {method}, estimated",
+            f"ready after {ready:.0f} s",
+        )
+    yield Measurement("gpu_grid", total, f"min for all methods with {runs} runs each, estimated")
+
+
+def _known(method: str, extent: Extent) -> Changes:
+    """Return the changed numbers that a method has."""
+    known = find_algorithm(method).numbers.model_fields
+    return tuple((name, value) for name, value in extent.changes if name in known)
+
+
+def _begun(config: Train, device: torch.device) -> DeviceParts:
+    """Make the parts of the runs of all seeds, which have begun."""
+    setups = [Setup(one) for one in config.each_seed()]
+    for setup in setups[1:]:
+        setup.episodes = setups[0].episodes
+    return make_parts(setups, device)
 
 
 def _timed(parts: DeviceParts, device: torch.device, rounds: int) -> tuple[float, float]:

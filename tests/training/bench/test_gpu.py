@@ -25,6 +25,8 @@ def test_every_row_is_measured() -> None:
         changes=tuple(small.items()),
         evaluate_every=4,
         evaluate_episodes=2,
+        methods=("td3", "her"),
+        spaces=1,
     )
     rows = {row.name: row for row in gpu(PAPER, torch.device("cpu"), extent)}
     assert rows["gpu_name"].details["gpu_versions"]
@@ -35,6 +37,8 @@ def test_every_row_is_measured() -> None:
         assert row.value > 0
     ratio = rows["gpu_step_2"].value / rows["gpu_step_1"].value  # type: ignore[operator]
     assert rows["gpu_seeds_over_one"].value == pytest.approx(ratio)
+    grid = [rows[f"gpu_grid_{name}"].value for name in extent.methods]
+    assert rows["gpu_grid"].value == pytest.approx(sum(grid))  # type: ignore[arg-type]
     assert rows["gpu_reach_0.95"].details["gpu_reach_curve"]
 
 
