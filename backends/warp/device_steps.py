@@ -138,10 +138,14 @@ class DeviceSteps(Simulation):
         self._chosen_copies.copy_(mask)
 
     def _check_tensor(self, name: str, found: torch.Tensor, like: torch.Tensor) -> None:
-        if found.shape != like.shape or found.device != like.device:
+        parts = (
+            (tuple(x.shape), str(x.dtype).removeprefix("torch."), x.device) for x in (like, found)
+        )
+        (shape, kind, device), other = parts
+        if other != (shape, kind, device):
             raise CdcsrError(
-                f"{name} must have the shape {tuple(like.shape)} and be on {like.device}; found "
-                f"{tuple(found.shape)} on {found.device}."
+                f"{name} must have the shape {shape}, be {kind} and be on {device}; found "
+                f"{other[0]}, {other[1]}, on {other[2]}."
             )
 
     @contextmanager

@@ -23,6 +23,7 @@ from cdcsr.simulation.engines import make_simulation
 from training.algorithms.registry import ALGORITHMS, find_algorithm
 from training.config.run_description import Changes
 from training.device.doors import open_door
+from training.run.device_first import share_demonstrations
 from training.run.device_parts import DeviceParts, make_parts
 from training.run.device_run import train_on_device
 from training.run.metrics import read_metrics
@@ -49,7 +50,7 @@ class Extent:
     evaluate_every: int = 500
     evaluate_episodes: int = 100
     methods: tuple[str, ...] = tuple(name for name, one in ALGORITHMS.items() if one.learner)
-    """Of the grid whose duration is estimated."""
+    """The grid whose duration is estimated has these methods."""
     spaces: int = 3
 
 
@@ -184,8 +185,7 @@ def _known(method: str, extent: Extent) -> Changes:
 def _begun(config: Train, device: torch.device) -> DeviceParts:
     """Make the parts of the runs of all seeds, which have begun."""
     setups = [Setup(one) for one in config.each_seed()]
-    for setup in setups[1:]:
-        setup.episodes = setups[0].episodes
+    share_demonstrations(setups)
     return make_parts(setups, device)
 
 

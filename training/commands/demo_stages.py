@@ -35,7 +35,7 @@ from training.plots.targets import draw_targets
 from training.policy import Policy, load_policy
 from training.run.device_run import train_on_device
 from training.run.metrics import read_metrics
-from training.run.train_options import RUN_FOLDER, Train
+from training.run.train_options import RUN_FOLDER, SUMMARY, Train
 from training.run.trainer import train
 
 ROBOT, SPACE = "paper", "spatter"
@@ -120,7 +120,8 @@ def run_demo(
 ) -> dict[str, object]:
     """Build models, record demonstrations, train, measure in every engine, and draw.
 
-    A demo that was stopped is resumed; training loses at most what came after its last evaluation.
+    A demo that was stopped is resumed; training loses at most what came after its last checkpoint:
+    one with each evaluation, on a GPU at most one a minute.
     With more minutes, training goes on, and the stages after it are done again.
 
     Args:
@@ -153,11 +154,20 @@ def engine_on_gpu(out: Path, device: Literal["auto", "cpu", "cuda"]) -> str | No
     """Return the engine that steps on a GPU and say so, or None to learn on the processor.
 
     Raises:
-        CdcsrError: a GPU is asked for, and there is none, or no engine for it.
+        CdcsrError: a GPU is asked for, and there is none, or no engine for it; or the folder was
+            begun with another device.
     """
     begun = out / RUN / RUN_FOLDER.record
-    if device == "auto" and begun.is_file():
-        device = "cuda" if read_json(begun).get("device") == "cuda" else "cpu"
+    if begun.is_file():
+        record = read_json(begun)
+        own = "cuda" if record.get("device") == "cuda" else "cpu"
+        if device not in ("auto", own):
+            raise CdcsrError(
+                f"{out} was begun with device {own}; go on with that, or give another folder."
+            )
+        if own == "cuda" and (out / RUN / SUMMARY).is_file():  # nothing is left to train
+            return str(record["backend"])
+        device = own
     if device == "cpu":
         return None
     engines = [name for name in principal_engines() if hasattr(load_backend(name), "device_state")]

@@ -114,8 +114,11 @@ class HostDoor:
     def step_device(
         self, command: Tensor, substeps: int = 1, restart: Tensor | None = None
     ) -> None:
+        given = command.cpu().numpy().astype(np.float64)
+        wrong = np.logical_not(np.isfinite(given).all(axis=1))  # of a learner that has diverged
+        self._lost |= wrong
         try:
-            self._simulation.step(command.cpu().numpy().astype(np.float64), substeps)
+            self._simulation.step(np.where(wrong[:, None], 0.0, given), substeps)
         except Diverged as error:
             self._lost[list(error.copies)] = True
             self._simulation.reset(error.copies)

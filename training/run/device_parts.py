@@ -6,12 +6,10 @@ import gc
 from collections.abc import Sequence
 from copy import deepcopy
 from dataclasses import replace
-from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
 import torch
-from numpy.typing import NDArray
 from torch import nn
 from torch.nn import functional
 from tqdm import tqdm
@@ -29,7 +27,7 @@ from cdcsr.tasks.starts import Starts
 from training.algorithms.bc import pairs
 from training.algorithms.registry import find_algorithm
 from training.algorithms.td3 import BackboneNumbers
-from training.config.learner import CloneStart, Cloning, Demonstrated
+from training.config.learner import CloneStart, Cloning
 from training.config.seeds import VALIDATION_SEED
 from training.device.beginnings import PLANTS, draw_states
 from training.device.collector import POOL, DeviceCollector, Work
@@ -40,11 +38,9 @@ from training.device.learner import DeviceLearner, make_networks
 from training.device.networks import copied, side_by_side, stacked_actor, write_actor
 from training.device.replay import DeviceReplay
 from training.device.trial import DeviceTrial
-from training.experience.mixed_replay import MixedReplay
-from training.experience.replay import Replay
 from training.networks.actor import Actor
 from training.policy import load_policy
-from training.run.checkpoint import reading_state, write_state
+from training.run.device_first import first_rows
 from training.run.setup import Setup
 from training.run.train_options import FIRST, STATE
 
@@ -68,11 +64,16 @@ class DeviceParts(NamedTuple):
         self.trial.close()
 
 
+class NotOnDevice(CdcsrError):
+    """Report that a run asks for what only a processor can do."""
+
+
 def check_device(setup: Setup, runs: int, device: torch.device) -> None:
     """Check that so many runs ask for nothing that only `--device cpu` can do, and that they fit.
 
     Raises:
-        CdcsrError: they do, or they do not fit into the device's memory.
+        NotOnDevice: they do.
+        CdcsrError: they do not fit into the device's memory.
     """
     config, learner = setup.config, setup.learner
     kind = find_algorithm(config.algorithm).learner
@@ -88,26 +89,32 @@ def check_device(setup: Setup, runs: int, device: torch.device) -> None:
         )
     odd = kind.uses_clone or learner.symmetry or not task.ends or kind.reward != "sparse"
     if learner.hindsight and (odd or config.start != "still"):
-        raise CdcsrError(
+        raise NotOnDevice(
             f"hindsight must be 0 with device cuda for algorithms with a clone or a dense reward, "
             f"with symmetry, for tasks that do not end and for starts that vary; found "
             f"{learner.hindsight}. Choose device cpu."
         )
     if learner.bfloat16:
-        raise CdcsrError("bfloat16 must be off with device cuda, which knows nothing else.")
+        raise NotOnDevice("bfloat16 must be off with device cuda, which knows nothing else.")
+    engine = load_backend(config.backend)
     for name, copies in (
         ("num_envs", learner.num_envs),
         ("evaluate_episodes", config.evaluate_episodes),
     ):
+        if copies % (kinds := len(getattr(engine, "parts", [engine]))):
+            raise CdcsrError(
+                f"{name} must be a multiple of {kinds} with device cuda and {config.backend}, so "
+                f"that each run has as many copies in each engine; found {copies}."
+            )
         if runs * copies > MOST_COPIES:
             raise CdcsrError(
                 f"{runs} seeds side by side have {runs * copies:,} copies with {name} {copies:,}, "
                 f"and at most {MOST_COPIES:,} are possible; name fewer seeds, or lower {name}."
             )
-    engine = load_backend(config.backend)
     needed = DeviceReplay.memory(*_extent(setup, learner, runs))
     if hasattr(engine, "device_state"):  # its copies are there, too
-        needed += runs * (learner.num_envs + config.evaluate_episodes) * engine.copy_memory
+        copies = learner.num_envs + config.evaluate_episodes + PLANTS * config.randomized
+        needed += runs * copies * engine.copy_memory
     check_memory(
         f"{runs} replays of {learner.capacity:,} rows with their copies",
         needed,
@@ -155,7 +162,7 @@ def make_parts(setups: Sequence[Setup], device: torch.device) -> DeviceParts:
     work = Work(env.task, [_space(setup, learner) for setup in setups], env.frame_skip)
     env.close()
     kept = [
-        _prefilled(setup, actor, clone, work, learner)
+        first_rows(setup, actor, clone, work.task, learner)
         for setup, actor, clone in zip(setups, actors, clones or [None] * len(actors), strict=True)
     ]
     networks, module = make_networks(algorithms, learner, device), deepcopy(actors[0]).to(device)
@@ -192,17 +199,21 @@ def make_clones(setups: Sequence[Setup], device: torch.device) -> list[Actor]:
     """Train the behaviour clones or, if that is done, read them back."""
     learner = setups[0].learner
     folders = [setup.config.out / "clone" for setup in setups]
-    if all((folder / "policy.json").is_file() for folder in folders):
-        return [load_policy(folder).actor for folder in folders]
+    missing = [
+        setup
+        for setup, folder in zip(setups, folders, strict=True)
+        if not (folder / "policy.json").is_file()
+    ]
     clones, error = [], learner.features == "state+error"
-    for setup in setups:
+    for setup in missing:
         torch.manual_seed(setup.config.seed)
         clones.append(Actor(setup.robot, error, learner.hidden, "tanh", learner.symmetry))
-    _imitate("clone", setups, clones, _CLONE, device)
-    for setup, folder, clone in zip(setups, folders, clones, strict=True):
-        clone.requires_grad_(False)
-        setup.policy(clone, "bc").save(folder)
-    return clones
+    if missing:
+        _imitate("clone", missing, clones, _CLONE, device)
+    for setup, clone in zip(missing, clones, strict=True):
+        (setup.config.out / FIRST).unlink(missing_ok=True)  # it was of a clone that is gone
+        setup.policy(clone, "bc").save(setup.config.out / "clone")
+    return [load_policy(folder).actor for folder in folders]
 
 
 def _imitate(
@@ -240,43 +251,3 @@ def _space(setup: Setup, learner: BackboneNumbers) -> Space:
     """Return where the targets of training lie."""
     space = make_space(setup.config.space, setup.robot, setup.centers)
     return wider_targets(space, learner.practice, setup.robot) if learner.practice else space
-
-
-def _prefilled(
-    setup: Setup, actor: Actor, clone: Actor | None, work: Work, learner: BackboneNumbers
-) -> Replay:
-    """Return the replay that a run begins with; a run that goes on has it in a file."""
-
-    path = setup.config.out / FIRST
-    if path.exists():
-        return _read_first(path, setup, learner)
-
-    def actions(observations: NDArray[np.float64]) -> NDArray[np.float32]:
-        assert clone is not None
-        with torch.no_grad():
-            return clone.act(torch.as_tensor(observations, dtype=torch.float32)).numpy()
-
-    share = learner.kept_share if isinstance(learner, Demonstrated) else 0.0
-    known = None if clone is None else actions
-    episodes = setup.first_episodes(actor, clone)
-    needed = max(1, sum(len(episode.observations) for episode in episodes))
-    small = learner.changed(capacity=needed)
-    replay = MixedReplay(setup.robot, work.task, small, known, share)
-    replay.prefill(episodes)
-    filled = replay.buffers["kept" if share > 0 else "replay"]
-    rows = {name: torch.from_numpy(x[: filled.size]) for name, x in filled.rows.items()}
-    if filled.size:
-        write_state(path, rows, {}, setup.robot)
-    return filled
-
-
-def _read_first(path: Path, setup: Setup, learner: BackboneNumbers) -> Replay:
-    """Read the replay with which a run began: engines on a GPU do not repeat it to the bit."""
-    with reading_state(path, setup.robot) as (tensors, _):
-        sizes = observation_size(setup.robot), setup.robot.num_cables
-        num = len(tensors["reward"])
-        found = Replay(num, *sizes, learner.discount, learner.return_steps)
-        found.size = num
-        for name, rows in found.rows.items():
-            rows[:] = tensors[name].numpy()
-    return found

@@ -29,11 +29,12 @@ from training.measure.evaluation import Result
 from training.networks.actor import Actor
 from training.policy import Policy, load_policy
 from training.run.checkpoint import read_meta, reading_state, write_state
+from training.run.device_first import share_demonstrations
 from training.run.device_parts import DeviceParts, check_device, make_clones, make_parts
 from training.run.metrics import Metrics
 from training.run.setup import Setup
 from training.run.trackers import start_tracker
-from training.run.train_options import FIRST, RUN_FOLDER, STATE, SUMMARY, Train, read_older
+from training.run.train_options import FIRST, RUN_FOLDER, SHOWN, STATE, SUMMARY, Train, read_older
 
 NEXT = "state.next.safetensors"
 """A checkpoint that is complete and waits until those of the runs beside it are, too."""
@@ -105,11 +106,13 @@ class DeviceRuns:
                 print(f"{folder} is a finished run; give --force to begin anew.")
             return [load_policy(folder) for folder in self._folders]
         if any(finished):  # the process was killed at the end; only the others are left
+            for folder, done in zip(self._folders, finished, strict=True):
+                if done:
+                    _tidy(folder)
             left = [one for one, done in zip(self.setups, finished, strict=True) if not done]
             DeviceRuns(left, self.device).carry_out()
             return [load_policy(folder) for folder in self._folders]
-        for setup in self.setups[1:]:
-            setup.episodes = self.setups[0].episodes  # the same for all seeds and these spaces
+        share_demonstrations(self.setups)  # the same for all seeds and these spaces
         learner = self.setups[0].learner
         if not isinstance(learner, BackboneNumbers):  # supervised
             return self._finish(make_clones(self.setups, self.device), 0, 0)
@@ -317,7 +320,7 @@ class DeviceRuns:
 
 def _tidy(folder: Path) -> None:
     """Delete what a finished run no longer needs."""
-    for name in (STATE, FIRST):
+    for name in (STATE, FIRST, SHOWN):
         (folder / name).unlink(missing_ok=True)
 
 

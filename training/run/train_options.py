@@ -19,8 +19,9 @@ from training.run.trackers import TrackerName
 
 STATE, SUMMARY = "state.safetensors", "summary.json"
 """While a run is unfinished its folder holds the first; once it is finished, the second."""
-FIRST = "first.safetensors"
-"""The rows with which the replay of an unfinished run on a device began."""
+FIRST, SHOWN = "first.safetensors", "demonstrations.safetensors"
+"""The rows with which the replay of an unfinished run on a device began, and the demonstrations
+that it recorded."""
 RUN_FOLDER = WorkingFolder(
     "a training run",
     record="config.json",
@@ -30,6 +31,7 @@ RUN_FOLDER = WorkingFolder(
         STATE,
         "state.next.safetensors",
         FIRST,
+        SHOWN,
         "metrics.csv",
         "policy.json",
         "policy.safetensors",

@@ -194,8 +194,15 @@ def test_a_demo_uses_a_gpu_if_there_is_one(
         carry_out(out, stages)
     assert "BATD3 learns on A Card, in Third." in capsys.readouterr().out
     assert [(one.backend, one.device, one.preset) for one in asked] == [("third", "cuda", "gpu")]
-    assert engine_on_gpu(out, "cpu") is None
-    # A folder keeps its device, whatever the machine has.
+    assert engine_on_gpu(tmp_path / "other", "cpu") is None
+    # A folder keeps its device, whatever the machine has; what is finished needs none.
+    with pytest.raises(CdcsrError, match="was begun with device cuda; go on with that"):
+        run_demo(out, tiny(1), "cpu")
+    monkeypatch.setattr(torch.cuda, "is_available", lambda: False)
+    assert engine_on_gpu(out, "auto") == "third"
+    (out / "runs/batd3/summary.json").unlink()
+    with pytest.raises(CdcsrError, match="There is no GPU for device cuda here"):
+        run_demo(out, tiny(1))
     record = out / "runs/batd3/config.json"
     write_json(record, sealed({**read_json(record), "device": "cpu"}))
     assert engine_on_gpu(out, "auto") is None

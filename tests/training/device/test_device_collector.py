@@ -72,8 +72,12 @@ class _Collected:
     def follow(self) -> None:
         """Give the environment the targets that the collector has drawn."""
         for name, rows in self.env._episodes.arrays().items():
-            runs = [self.collector.views(run)[f"episode.{name}"] for run in range(RUNS)]
-            rows[:] = torch.cat(runs).numpy()
+            rows[:] = self.episodes(name)
+
+    def episodes(self, name: str) -> NDArray[Any]:
+        """Return numbers of the collector's episodes, a row for each copy of the engine."""
+        runs = [self.collector.views(run)[f"episode.{name}"] for run in range(RUNS)]
+        return torch.cat(runs).numpy()
 
     def begin(self, ids: NDArray[np.int64]) -> None:
         """Put copies of the environment to the beginnings that the collector has chosen."""
@@ -94,6 +98,8 @@ class _Collected:
             np.stack([self.states[r][part][i] for r, i in zip(run, chosen, strict=True)])
             for part in range(2)
         ]
+        drift = [self.states[r].drift[i] for r, i in zip(run, chosen, strict=True)]
+        np.testing.assert_allclose(self.episodes("drift")[ids], drift, atol=1e-7)
         states[0][:, 7:15] += simulation.plant.start_travel[ids]
         single = (part.astype(np.float32).astype(np.float64) for part in states)
         simulation.place(ids, *single)

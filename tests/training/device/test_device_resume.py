@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import shutil
-from dataclasses import replace
+from dataclasses import astuple, replace
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 import torch
 from safetensors.torch import load_file
@@ -15,6 +16,7 @@ from cdcsr.errors import CdcsrError
 from cdcsr.locks import Busy, lock
 from tests.support.tiny import tiny_device_run
 from training.policy import load_policy
+from training.run.device_first import share_demonstrations
 from training.run.device_run import train_on_device
 from training.run.setup import Setup
 
@@ -74,6 +76,7 @@ def test_what_a_run_began_with_is_read_back(
     first = tiny_device_run(tmp_path / "run", demonstrations, **options)
     train_on_device(first, CPU)
     monkeypatch.setattr(Setup, "first_episodes", lambda *_: pytest.fail("simulated again"))
+    monkeypatch.setattr("training.run.device_parts.imitate", lambda *_: pytest.fail("again"))
     train_on_device(first, CPU)
     path = tmp_path / "run/first.safetensors"
     content = bytearray(path.read_bytes())
@@ -143,3 +146,37 @@ def test_force_deletes_nothing_while_one_folder_is_busy(
             tiny_device_run(tmp_path / "runs", demonstrations, force=True, **options), CPU
         )
     assert summary.exists()
+
+
+def test_demonstrations_that_a_run_recorded_are_read_back(
+    tmp_path: Path, demonstrations: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    given = tiny_device_run(tmp_path / "run", demonstrations, "td3wd", stop_after=0.0, seeds="0:2")
+    first = replace(given, demonstrations=None, num_demonstrations=2)
+    train_on_device(first, CPU)
+    whole = Setup(first.each_seed()[1]).episodes
+    monkeypatch.setattr("controllers.demonstrations.record", lambda *_: pytest.fail("again"))
+    train_on_device(first, CPU)
+    setup = Setup(first.each_seed()[1])
+    share_demonstrations([setup])
+    for found, expected in zip(setup.episodes, whole, strict=True):
+        for one, other in zip(astuple(found), astuple(expected), strict=True):
+            np.testing.assert_array_equal(one, other)
+
+
+def test_only_the_clones_that_are_missing_are_trained(tmp_path: Path, demonstrations: Path) -> None:
+    runs = tmp_path / "runs"
+    train_on_device(tiny_device_run(runs, demonstrations, seeds="0:2", stop_after=0.0), CPU)
+    old = [_weights(runs / name / "clone") for name in ("s0", "s1")]
+    kept = (runs / "s0/clone/policy.safetensors").stat().st_mtime_ns
+    shutil.rmtree(runs / "s1/clone")
+    for name in "s0", "s1":
+        (runs / name / "state.safetensors").unlink()
+    first = (runs / "s1/first.safetensors").stat().st_mtime_ns
+    train_on_device(tiny_device_run(runs, demonstrations, seeds="0:2", stop_after=0.0), CPU)
+    assert (runs / "s0/clone/policy.safetensors").stat().st_mtime_ns == kept
+    assert (runs / "s1/first.safetensors").stat().st_mtime_ns > first
+    new = [_weights(runs / name / "clone") for name in ("s0", "s1")]
+    for before, after in zip(old, new, strict=True):
+        for name, weights in before.items():
+            torch.testing.assert_close(after[name], weights, rtol=1e-4, atol=1e-5)

@@ -66,8 +66,9 @@ def test_every_method_learns_on_a_device(
 
 
 def test_a_run_ends_beside_others_as_it_ends_alone(tmp_path: Path, demonstrations: Path) -> None:
-    train_on_device(tiny_device_run(tmp_path / "both", demonstrations, seeds="3:5"), CPU)
-    train_on_device(tiny_device_run(tmp_path / "alone", demonstrations, seed=4), CPU)
+    options: dict[str, Any] = {"start": "moving", "randomize": 1.0}
+    train_on_device(tiny_device_run(tmp_path / "both", demonstrations, seeds="3:5", **options), CPU)
+    train_on_device(tiny_device_run(tmp_path / "alone", demonstrations, seed=4, **options), CPU)
     alone, other = _weights(tmp_path / "alone"), _weights(tmp_path / "both/s3")
     for name, weights in _weights(tmp_path / "both/s4").items():
         torch.testing.assert_close(weights, alone[name], rtol=1e-3, atol=1e-4)
@@ -147,6 +148,10 @@ def test_a_stopped_run_has_no_summary(tmp_path: Path, demonstrations: Path) -> N
         ({"seeds": "3"}, "seeds must be like 0:10"),
         ({"algorithm": "drldr", "numbers": {"hindsight": 2}}, "hindsight must be 0 with device"),
         ({"seeds": "3:3"}, "the number of seeds must be a whole number from 1"),
+        (
+            {"backend": "mujoco+mujoco-stock", "numbers": {"num_envs": 5}},
+            "num_envs must be a multiple of 2 with device cuda and mujoco\\+mujoco-stock",
+        ),
         (
             {"seeds": "0:60", "numbers": {"num_envs": 2_000}},
             "60 seeds side by side have 120,000 copies with num_envs 2,000",

@@ -14,8 +14,10 @@ import torch
 
 from cdcsr.errors import CdcsrError
 from cdcsr.leftovers import make_folder
+from cdcsr.locks import Busy
 from cdcsr.tasks.spaces import demonstration_space
 from training.config.run_description import RunDescription
+from training.run.device_parts import NotOnDevice
 from training.run.device_run import train_side_by_side
 from training.study.declare.budgets import Budget
 from training.study.execute.jobs import SUMMARY, Job
@@ -27,7 +29,8 @@ def carry_out_on_gpu(
 ) -> Outcome:
     """Train on a GPU what is not trained yet, then evaluate in processes of this machine.
 
-    Runs that fail, or at which another process is, do not stop the others.
+    A run that fails does not stop the others. What only a processor can train, and what another
+    process is at, is left to the processes.
 
     Args:
         jobs: the jobs.
@@ -51,17 +54,34 @@ def carry_out_on_gpu(
         what = f"[{number}/{len(groups)}] {group[0].name}{more}"
         print(f"{what}: started", flush=True)
         started = time.monotonic()
-        try:
-            train_side_by_side([job.training(runs / job.name, "cuda") for job in group], device)
-        except CdcsrError as error:
-            failed |= {job.name: str(error) for job in group}
-            print(f"{what}: failed, {error}", flush=True)
+        if wrong := _train(group, runs, device):
+            failed |= wrong
+            print(f"{what}: {len(wrong)} failed, first: {next(iter(wrong.values()))}", flush=True)
             continue
         minutes = (time.monotonic() - started) / 60
         print(f"{what}: trained in {duration(minutes)}", flush=True)
     outcome = carry_out_here([job for job in jobs if job.name not in failed], runs, results, slots)
     outcome.failed |= failed
     return outcome
+
+
+def _train(group: list[Job], runs: Path, device: torch.device) -> dict[str, str]:
+    """Train runs together or, if that fails, each alone; return those that failed, and why."""
+    try:
+        train_side_by_side([job.training(runs / job.name, "cuda") for job in group], device)
+    except (NotOnDevice, Busy) as error:
+        if len(group) == 1:
+            print(f"        {group[0].name}: left to the processors, {error}", flush=True)
+            return {}
+    except (CdcsrError, RuntimeError) as error:  # PyTorch's errors of a GPU are the latter
+        if len(group) == 1:
+            return {group[0].name: str(error).split("\n")[0]}
+    else:
+        return {}
+    failed: dict[str, str] = {}
+    for job in group:
+        failed |= _train([job], runs, device)
+    return failed
 
 
 def side_by_side(jobs: Sequence[Job], runs: Path, results: Path) -> list[list[Job]]:

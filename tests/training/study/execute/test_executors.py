@@ -18,8 +18,9 @@ import torch
 
 from cdcsr.errors import CdcsrError
 from cdcsr.locks import Busy
-from tests.support.tiny import TINY_BUDGET, tiny_job
+from tests.support.tiny import TINY_BUDGET, tiny_changes, tiny_job
 from training.experiments import experiments
+from training.run.trainer import train
 from training.study.execute import ray_executor
 from training.study.execute.gpu_executor import carry_out_on_gpu
 from training.study.execute.jobs import Job, carry_out
@@ -246,8 +247,11 @@ def test_runs_that_share_all_shapes_are_trained_together(
     runs, results, device = tmp_path / "runs", tmp_path / "results", torch.device("cpu")
     pair, other = [_job("td3", seed) for seed in (3, 4)], tiny_job(70)
     pair[1] = replace(pair[1], spec=replace(pair[1].spec, space="spatter"))
-    wrong = tiny_job(start="anywhere", algorithm="drldr", task="quiet")
-    wanted = [pair[0], other, wrong, pair[1], tiny_job(0, algorithm="jacobian")]
+    # Its folder holds a run of other numbers; the one beside it is trained all the same.
+    wrong, mate = (replace(job, spec=replace(job.spec, updates=50)) for job in pair)
+    train(replace(wrong.training(runs / wrong.name), stop_after=0.0))
+    host = tiny_job(algorithm="clasp", changes=tiny_changes("clasp", hindsight=1))
+    wanted = [pair[0], other, wrong, pair[1], tiny_job(0, algorithm="jacobian"), mate, host]
     wanted = [replace(job, evaluations=()) for job in wanted]
 
     def evaluate(left: Sequence[Job], runs: Path, results: Path, slots: int) -> Outcome:
@@ -259,8 +263,12 @@ def test_runs_that_share_all_shapes_are_trained_together(
     monkeypatch.setattr("training.study.execute.gpu_executor.carry_out_here", evaluate)
     outcome = carry_out_on_gpu(wanted, runs, results, 5, device)
     said = capsys.readouterr().out
-    assert f"[1/3] {pair[0].name} and 1 beside it: trained in" in said
-    assert f"[3/3] {wrong.name}: failed, " in said
+    assert f"[1/4] {pair[0].name} and 1 beside it: trained in" in said
+    assert f"[3/4] {wrong.name} and 1 beside it: 1 failed, first: " in said
+    assert "other options (device)" in said
+    assert f"{host.name}: left to the processors, hindsight must be 0" in said
+    assert (runs / mate.name / "summary.json").exists()
+    assert not (runs / host.name / "state.safetensors").exists()
     assert set(outcome.failed) == {wrong.name}
     assert set(outcome.finished) == {job.name for job in wanted if job.name != wrong.name}
     weights = {(runs / job.name / "policy.safetensors").read_bytes() for job in (*pair, other)}
