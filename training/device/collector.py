@@ -193,6 +193,10 @@ class DeviceCollector:
     @torch.no_grad()
     def _act(self) -> None:
         """Choose an action for every copy, and store what is known before it is taken."""
+        with self.draws.together("act"):
+            self._explore()
+
+    def _explore(self) -> None:
         now, module = self.tensors, self._module
         seen, cables = now["observation"], None
         if module.mirror_symmetry is not None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import partial
 
 import torch
 from torch import Tensor
@@ -74,8 +75,9 @@ class DeviceLearner:
         self.draws = Streams(keys(seeds, _PURPOSE), device)
         self.totals = {name: torch.zeros(len(seeds), device=device) for name in METRICS}
         self._share = (learner.kept_share or None) if isinstance(learner, Demonstrated) else None
-        self._critics_turn = Repeated(lambda: self._update(actors_turn=False), device)
-        self._actors_turn = Repeated(lambda: self._update(actors_turn=True), device)
+        self._critics_turn, self._actors_turn = (
+            Repeated(partial(self._update, actors_turn=turn), device) for turn in (False, True)
+        )
         self.taken, self._longest = {"updates": 0, "actor_updates": 0}, collector.longest
 
     @property
@@ -102,6 +104,10 @@ class DeviceLearner:
         self.taken["actor_updates"] += turn
 
     def _update(self, *, actors_turn: bool) -> None:
+        with self.draws.together("actor" if actors_turn else "critics"):
+            self._draw_and_update(actors_turn=actors_turn)
+
+    def _draw_and_update(self, *, actors_turn: bool) -> None:
         with torch.no_grad():
             batch = self._replay.sample(self.learner.batch_size, self.draws, self._share)
             batch = batch._replace(

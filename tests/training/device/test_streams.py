@@ -60,6 +60,19 @@ def test_a_run_draws_alone_what_it_draws_beside_others() -> None:
     assert int(together.drawn) == int(alone.drawn) == 30
 
 
+def test_numbers_that_are_found_together_are_the_same() -> None:
+    one, other = Streams([3, 4], CPU), Streams([3, 4], CPU)
+    for _ in range(3):
+        with one.together("work"):
+            found = one.below(9, 5), one.normal(torch.zeros(2, 3, 2)), one.subset(4, 2)
+        expected = other.below(9, 5), other.normal(torch.zeros(2, 3, 2)), other.subset(4, 2)
+        for ours, theirs in zip(found, expected, strict=True):
+            assert torch.equal(ours, theirs)
+        assert torch.equal(one.bits(2), other.bits(2))
+    with pytest.raises(AssertionError), one.together("work"):
+        one.bits(1)
+
+
 @pytest.mark.parametrize("purpose", [0, 1])
 def test_keys_differ(purpose: int) -> None:
     found = keys(range(1000), purpose)
