@@ -15,8 +15,9 @@ from trimesh import Trimesh
 from trimesh.exchange.stl import export_stl
 
 from cdcsr.files import note, write_bytes, write_text
+from cdcsr.robot.colors import link_parts
 from cdcsr.robot.description import Base, Robot
-from cdcsr.robot.meshes import export_glb, link_parts, visual_meshes
+from cdcsr.robot.meshes import export_glb, visual_meshes
 from cdcsr.robot.parts import Link
 
 Exporter = Callable[[Robot, Path, Mapping[str, str]], None]

@@ -13,9 +13,18 @@ from collections.abc import Mapping
 import mujoco
 import numpy as np
 
-from cdcsr.robot.colors import BACKGROUND, CABLE, HULL, METAL, TIP, Color, segment_color, share
+from cdcsr.robot.colors import (
+    BACKGROUND,
+    CABLE,
+    HULL,
+    METAL,
+    TIP,
+    Color,
+    link_parts,
+    segment_color,
+    share,
+)
 from cdcsr.robot.description import Robot
-from cdcsr.robot.meshes import link_parts
 from cdcsr.robot.parts import Joint, Link
 from cdcsr.robot.routing import Routing, routing
 from cdcsr.simulation.rotations import at_start

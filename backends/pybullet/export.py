@@ -9,8 +9,8 @@ from pathlib import Path
 
 from backends.pybullet.urdf import cable_file, urdf
 from cdcsr.files import write_json, write_text
+from cdcsr.robot.colors import link_parts
 from cdcsr.robot.description import Robot
-from cdcsr.robot.meshes import link_parts
 
 DRIVER = "drive_pybullet.py"
 

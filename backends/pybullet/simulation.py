@@ -10,7 +10,7 @@ from collections.abc import Mapping
 from dataclasses import replace
 from functools import cached_property
 from importlib.metadata import version as package_version
-from typing import ClassVar
+from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,7 +20,6 @@ from backends.pybullet.equation import Equation
 from backends.pybullet.options import PybulletOptions, PybulletStockOptions
 from backends.pybullet.workers import Pool
 from backends.pybullet.world import World
-from backends.viewers.software import Renderer
 from cdcsr.errors import CdcsrError
 from cdcsr.robot.description import Robot
 from cdcsr.simulation.contract import (
@@ -35,6 +34,9 @@ from cdcsr.simulation.contract import (
 )
 from cdcsr.simulation.engines import processors
 from cdcsr.simulation.plant import Plant
+
+if TYPE_CHECKING:
+    from backends.viewers.software import Renderer
 
 COPIES_PER_WORKER = 8
 POOL_FROM = 16
@@ -190,6 +192,8 @@ class PybulletSimulation(Simulation):
 
     @cached_property
     def _renderer(self) -> Renderer:
+        from backends.viewers.software import Renderer  # an import of half a second
+
         return Renderer(self.robot)
 
 

@@ -1,6 +1,9 @@
-"""The colours of a robot and of marks, in pictures by every engine and in model files."""
+"""The colours of a robot and of marks, and which links look alike, in pictures by every engine and
+in model files."""
 
 from __future__ import annotations
+
+from cdcsr.robot.description import Robot
 
 Color = tuple[int, int, int, int]
 """Red, green, blue and opacity, each from 0 to 255."""
@@ -28,3 +31,13 @@ def share(color: Color) -> tuple[float, float, float, float]:
     """Return a colour with components from 0 to 1."""
     red, green, blue, opacity = (part / 255 for part in color)
     return red, green, blue, opacity
+
+
+def link_parts(robot: Robot) -> list[str]:
+    """Return the name of each link's mesh, from the base to the tip."""
+    parts: list[str] = []
+    for s, segment in enumerate(robot.segments):
+        links = [link for link, _ in robot.links[len(parts) : len(parts) + segment.links]]
+        names = [f"link_{s}_{n}" for n in range(len(links) - 1)] + [f"end_{s}"]
+        parts += [f"link_{s}" if a == links[0] else b for a, b in zip(links, names, strict=True)]
+    return parts

@@ -18,7 +18,7 @@ from trimesh.visual import ColorVisuals
 
 from cdcsr import files
 from cdcsr.errors import CdcsrError
-from cdcsr.robot.colors import DEBRIS, HULL, METAL, PANEL, segment_color
+from cdcsr.robot.colors import DEBRIS, HULL, METAL, PANEL, link_parts, segment_color
 from cdcsr.robot.description import Robot, folder_of
 from cdcsr.robot.mesh_files import read_mesh
 from cdcsr.robot.parts import Link
@@ -50,16 +50,6 @@ def visual_meshes(robot: Robot) -> dict[str, trimesh.Trimesh]:
             ball = trimesh.creation.icosphere(2, segment.servo.radius)
             meshes[f"slider_{s}"] = _coloured(ball, METAL)
     return meshes
-
-
-def link_parts(robot: Robot) -> list[str]:
-    """Return the name of each link's mesh, from the base to the tip."""
-    parts: list[str] = []
-    for s, segment in enumerate(robot.segments):
-        links = [link for link, _ in robot.links[len(parts) : len(parts) + segment.links]]
-        names = [f"link_{s}_{n}" for n in range(len(links) - 1)] + [f"end_{s}"]
-        parts += [f"link_{s}" if a == links[0] else b for a, b in zip(links, names, strict=True)]
-    return parts
 
 
 def solid_inertia(mesh: trimesh.Trimesh, mass: float) -> NDArray[np.float64]:

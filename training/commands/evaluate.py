@@ -53,9 +53,8 @@ def evaluate(
     """
     from cdcsr.envs.disturbances import Disturbances
     from cdcsr.robot.description import load_robot
-    from training.commands.measured import find_controller, report_cells, robot_of, set_threads
+    from training.commands.measured import find_controller, report_cells, robot_of
 
-    set_threads()
     description = load_robot(robot or "paper")
     controller = find_controller(policy, description)
     report_cells(

@@ -67,7 +67,6 @@ def film(
     from cdcsr.simulation.arguments import check_count, check_number
     from cdcsr.simulation.cameras import camera_angles
     from cdcsr.simulation.engines import engine_factory
-    from training.commands.measured import set_threads
     from training.plots.video import Style, policy_video
 
     if out.suffix not in _ENDINGS:
@@ -85,7 +84,6 @@ def film(
         engine_factory(name)
     if out.suffix == ".html":
         _check_page()
-    set_threads()
     shown, found, places, debris = _find(what, robot, space, targets, seed)
     limit = float("inf") if seconds is None else seconds
     speed = _SPEED * ruler(found).pace if speed is None else speed

@@ -122,13 +122,13 @@ def set_threads() -> None:
     try:
         import torch
     except ModuleNotFoundError:
-        return  # scripted controllers need none, and policies say what they need
+        return  # policies say what they need
 
     torch.set_num_threads(1)
 
 
 def find_controller(name: str, robot: Robot) -> Controller:
-    """Return the controller that a user names.
+    """Return the controller that a user names; torch then computes in one thread.
 
     Args:
         name: a scripted controller (jacobian, nearest, nearest:FOLDER), `package.module:Object`, a
@@ -143,6 +143,8 @@ def find_controller(name: str, robot: Robot) -> Controller:
     from controllers.registry import SCRIPTED, scripted_controller
     from controllers.stable_baselines import StableBaselines
 
+    if name.partition(":")[0] not in SCRIPTED:  # torch is an import of seconds
+        set_threads()
     scripted = scripted_controller(name, robot)
     if scripted is not None:
         return scripted

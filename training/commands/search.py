@@ -154,10 +154,9 @@ def _prepare(
     from cdcsr.robot.ruler import ruler
     from cdcsr.simulation.arguments import MOST_COPIES, check_count
     from cdcsr.tasks.feasible import adjusted
-    from training.commands.measured import check_spaces, find_controller, robot_of, set_threads
+    from training.commands.measured import check_spaces, find_controller, robot_of
     from training.config.seeds import TEST_SEED
 
-    set_threads()
     check_count("episodes", episodes, MOST_COPIES)
     check_count("rounds", rounds, 1_000_000)
     description = load_robot(robot or "paper")

@@ -91,12 +91,11 @@ def _measure(
     from cdcsr.robot.description import load_robot
     from cdcsr.simulation.engines import chosen_backends
     from cdcsr.tasks.feasible import adjusted
-    from training.commands.measured import check_spaces, find_controller, robot_of, set_threads
+    from training.commands.measured import check_spaces, find_controller, robot_of
     from training.config.seeds import TEST_SEED
     from training.measure.plant_axes import find_axes
     from training.measure.plant_sweep import sweep as measure
 
-    set_threads()
     axes, description = find_axes(axis), load_robot(robot or "paper")
     backends = chosen_backends(backend, description)
     controller = find_controller(policy, description)

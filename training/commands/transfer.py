@@ -54,9 +54,8 @@ def transfer(
     """
     from cdcsr.robot.description import load_robot
     from cdcsr.tasks.spaces import SPACES
-    from training.commands.measured import find_controller, report_cells, set_threads
+    from training.commands.measured import find_controller, report_cells
 
-    set_threads()
     _check_names(policies)
     asked = load_robot(robot or "paper")
     controllers = [find_controller(name, asked) for name in policies]

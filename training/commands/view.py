@@ -50,13 +50,12 @@ def view(
     from cdcsr.tasks.spaces import make_space
     from controllers.dataset_files import stored_robot
     from controllers.feeds import StepByStep
-    from training.commands.measured import find_controller, set_threads
+    from training.commands.measured import find_controller
 
     try:
         from backends.viewers.web import WebView
     except ImportError:
         raise CdcsrError("The view needs viser; run: pip install 'cdcsr[view]'") from None
-    set_threads()
     stored = stored_robot(show) if show is not None and show.is_dir() and robot is None else None
     described = stored or load_robot(robot or "paper")
     asked = robot is not None or stored is not None

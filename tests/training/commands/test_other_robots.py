@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import torch
 
 from cdcsr.errors import CdcsrError
 from cdcsr.files import read_json, sealed, write_json
@@ -72,6 +73,16 @@ def test_a_dataset_is_replayed_on_its_own_robot(tmp_path: Path, heavier: str) ->
     assert '"largest_mm": 0' in (tmp_path / "replay.json").read_text()
     with pytest.raises(CdcsrError, match=r"\(time_step = 0\.002, not 0\.0025\)"):
         replay(tmp_path / "set", robot="planar-single", frame_skip=10)
+
+
+def test_a_policy_computes_in_one_thread(own: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Sums are in another order with more of them. A scripted controller needs no torch."""
+    threads: list[int] = []
+    monkeypatch.setattr(torch, "set_num_threads", threads.append)
+    find_controller("jacobian", load_robot("planar-single"))
+    assert threads == []
+    find_controller(own, load_robot("planar-single"))
+    assert threads == [1]
 
 
 def test_an_unfinished_policy_is_told(own: str, capsys: pytest.CaptureFixture[str]) -> None:

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+import itertools
 import json
 from pathlib import Path
 
 import numpy as np
 import pytest
-from scipy.stats import trim_mean
+from scipy.stats import binomtest, trim_mean
 
 from training.measure.statistics import (
     Sweep,
@@ -20,6 +21,7 @@ from training.measure.statistics import (
     over_few_seeds,
     pooled,
     rate,
+    wilson,
 )
 
 REFERENCE = json.loads((Path(__file__).parents[2] / "support" / "rliable.json").read_text("utf-8"))
@@ -63,6 +65,14 @@ def test_one_seed_has_wilsons_interval_and_says_so() -> None:
     found = rate(flags((9, 10)))
     assert (found.value, found.low, found.high) == pytest.approx((0.9, 0.59585, 0.98212), abs=1e-5)
     assert found.over == "episodes"
+
+
+def test_wilsons_interval_is_scipys() -> None:
+    for successes, total in itertools.chain(
+        ((k, n) for n in range(1, 21) for k in range(n + 1)), ((0, 300), (151, 300), (9999, 10000))
+    ):
+        expected = binomtest(successes, total).proportion_ci(0.95, method="wilson")
+        assert wilson(successes, total) == pytest.approx((expected.low, expected.high), rel=1e-14)
 
 
 def test_seeds_weigh_the_same_whatever_their_episodes() -> None:
