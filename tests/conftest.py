@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import gc
+import os
 import sys
 from pathlib import Path
 
@@ -10,6 +12,11 @@ import pytest
 from cdcsr.robot.description import Robot, load_robot
 from cdcsr.simulation import engines
 from tests.support.paths import install
+
+# Tests start dozens of processes that import engines or torch. Where Python is told to keep no
+# bytecode, as in many containers, each of them would compile thousands of modules again.
+os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
+sys.dont_write_bytecode = False
 
 # An engine of an extra has tests of its own, as in tests/backends/warp. No other test should depend
 # on whether the extra is installed, nor compile for minutes.
@@ -31,6 +38,12 @@ third = third_engine:ThirdSimulation
 [cdcsr.benchmarks]
 third-own = third_engine:measure
 """
+
+
+def pytest_collection_finish() -> None:
+    """Take what is imported by now, a million objects, out of every later garbage collection."""
+    gc.collect()
+    gc.freeze()
 
 
 @pytest.fixture(scope="session")
