@@ -22,7 +22,14 @@ Options = dict[str, Any]
 """Keyword arguments of any types."""
 FRAME_SKIP = 10
 """Episodes of 25 actions, so that some end within a short run."""
-TINY = {"batch_size": 32, "bc_rollouts": 4, "bc_updates": 100, "hidden": (16, 16), "num_envs": 4}
+TINY = {
+    "batch_size": 32,
+    "bc_rollouts": 4,
+    "bc_updates": 100,
+    "capacity": 20_000,
+    "hidden": (16, 16),
+    "num_envs": 4,
+}
 """Numbers that make learning take seconds."""
 CENTERS = np.array([[0.1, 0.2, 2.4]])
 """The targets of the demonstrations of `untrained_policy`; no other policy has them."""

@@ -14,6 +14,7 @@ PAPER = load_robot("paper")
 
 def test_every_row_is_measured() -> None:
     small = {"num_envs": 4, "batch_size": 32, "hidden": (16,), "bc_updates": 100, "bc_rollouts": 2}
+    small["capacity"] = 10_000
     extent = Extent(
         engine="mujoco",
         copies=(2, 4),
