@@ -95,7 +95,7 @@ def test_onnxruntime_acts_as_the_policy(folder: Path, name: str, dtype: str) -> 
 
 def test_the_file_says_how_to_use_it(folder: Path) -> None:
     policy = find_policy(str(folder / "plain"))
-    session = onnxruntime.InferenceSession(exported(str(folder / "plain"), folder))
+    session = onnxruntime.InferenceSession(exported(str(folder / "plain"), folder, "float64"))
     metadata = session.get_modelmeta().custom_metadata_map
     about = {name: json.loads(text) for name, text in metadata.items()}
     robot = policy.robot
@@ -112,7 +112,7 @@ def test_the_file_says_how_to_use_it(folder: Path) -> None:
     units = {part["name"]: part["unit"] for part in about["observation"]}
     assert list(units) == [part.name for part in PARTS]
     assert units["base_angular_velocity"] == "rad/s"
-    assert b"actor.py" not in exported(str(folder / "plain"), folder).read_bytes()
+    assert b"actor.py" not in exported(str(folder / "plain"), folder, "float64").read_bytes()
 
 
 def test_the_example_runs_at_400_hz_with_nothing_else_installed(folder: Path) -> None:
