@@ -63,16 +63,18 @@ def described_bodies(robot: Robot) -> Iterator[tuple[str, float, Triple, Triple]
             number += 1
 
 
-def walk(robot: Robot, hinges: Array) -> list[tuple[Array, Rotation]]:
-    """Return the place of each link's joint in [m], and how the link is turned, in the base's frame
-    at hinge angles of shape (H,); walks out along the arm."""
-    found, left = [], list(hinges)
-    place, turn = np.array([0, 0, robot.first_joint]), Rotation.identity()
-    for link, joint in robot.links:
-        for hinge in joint.hinges:
-            turn = turn * Rotation.from_euler(hinge.axis, left.pop(0))
+def walk(robot: Robot, hinges: Array) -> list[tuple[Array, Array]]:
+    """Return the place of each link's joint in [m], and how the link is turned, as a matrix, in the
+    base's frame at hinge angles of shape (H,); walks out along the arm."""
+    found, links = [], robot.links
+    axes = np.array([np.eye(3)["xyz".index(h.axis)] for _, joint in links for h in joint.hinges])
+    bends = iter(Rotation.from_rotvec(axes * np.asarray(hinges)[:, None]).as_matrix())
+    place, turn = np.array([0, 0, robot.first_joint]), np.eye(3)
+    for link, joint in links:
+        for _ in joint.hinges:
+            turn = turn @ next(bends)
         found.append((place, turn))
-        place = place + turn.apply([0, 0, link.length])
+        place = place + turn @ [0, 0, link.length]
     return found
 
 

@@ -7,7 +7,6 @@ from itertools import pairwise
 import numpy as np
 import pytest
 from scipy.optimize import least_squares
-from scipy.spatial.transform import Rotation
 
 from backends.contract_suite.states import commands_of, running
 from cdcsr.errors import CdcsrError
@@ -79,13 +78,13 @@ def least_energy(robot: Robot, command: Array) -> Array:
     gain = robot.servos[0].gain
 
     def taken_in(angles: Array) -> Array:
-        turns = [Rotation.identity(), *(turn for _, turn in walk(robot, all_hinges(angles)))]
+        turns = [np.eye(3), *(turn for _, turn in walk(robot, all_hinges(angles)))]
         found = []
         for count, segment in zip((6, 12), robot.segments, strict=True):
             for angle in np.deg2rad(segment.cables.angles_deg):
                 x, y = 0.02 * np.cos(angle), 0.02 * np.sin(angle)
-                bends = [low.inv() * high for low, high in pairwise(turns[: count + 1])]
-                spans = [turn.apply([x, y, 0.02]) - [x, y, -0.02] for turn in bends]
+                bends = [low.T @ high for low, high in pairwise(turns[: count + 1])]
+                spans = [turn @ [x, y, 0.02] - [x, y, -0.02] for turn in bends]
                 found.append(float(np.sum(np.linalg.norm(spans, axis=1) - 0.04)))
         return np.array(found)
 

@@ -45,7 +45,7 @@ def guides(robot: Robot, hinges: Array) -> Array:
     across = cables.pitch_radius * np.array([np.cos(angle), np.sin(angle)])
     points = [np.append(across, robot.first_joint - height) for height in (2 * o, o)]
     for (place, turn), (link, _) in zip(walk(robot, hinges), robot.links, strict=True):
-        points += [place + turn.apply(np.append(across, z)) for z in (o, link.length - o)]
+        points += [place + turn @ np.append(across, z) for z in (o, link.length - o)]
     return np.array(points)
 
 

@@ -6,7 +6,6 @@ import mujoco
 import numpy as np
 import pytest
 from hypothesis import given, settings
-from scipy.spatial.transform import Rotation
 
 from backends.contract_suite.states import moving, running
 from backends.mujoco.simulation import MujocoSimulation
@@ -36,14 +35,14 @@ def guide_by_guide(robot: Robot, travel: Array, hinges: Array) -> Array:
             slack = segment.servo.offset - travel[len(lengths)]
             length, before = abs(slack), None
             for j in range(way.first_link - 1, end):
-                place, turn = walked[j] if j >= 0 else (np.zeros(3), Rotation.identity())
+                place, turn = walked[j] if j >= 0 else (np.zeros(3), np.eye(3))
                 foot = joints[j] if j >= 0 else -robot.first_joint
                 for z in [joints[j] + o] * (j >= way.first_link) + [joints[j + 1] - o]:
                     part = (z - bottom) / (top - bottom)
                     angle = np.deg2rad(way.angle_deg + way.twist_deg * part)
                     across = [np.cos(angle), np.sin(angle)]
                     point = np.append((near + (far - near) * part) * np.array(across), z - foot)
-                    point = place + turn.apply(point)
+                    point = place + turn @ point
                     length += 0.0 if before is None else np.linalg.norm(point - before)
                     before = point
             lengths.append(float(length))

@@ -71,17 +71,15 @@ def taken_in(robot: Robot, hinges: Array) -> Array:
     This adds up the distances between the guides on both sides of each joint; the rest of a cable
     does not change its length.
     """
-    walked = [turn for _, turn in walk(robot, hinges)]
-    turns = Rotation.concatenate(
-        [low.inv() * high for low, high in pairwise([Rotation.identity(), *walked])]
-    )
+    walked = [np.eye(3), *(turn for _, turn in walk(robot, hinges))]
+    turns = np.array([low.T @ high for low, high in pairwise(walked)])
     shortened, joints = [], 0
     for segment in robot.segments:
         joints += segment.links
         for angle in np.deg2rad(segment.cable_angles):
             cables = segment.cables
             x, y = cables.pitch_radius * np.cos(angle), cables.pitch_radius * np.sin(angle)
-            above = turns[:joints].apply([x, y, cables.guide_offset])
+            above = turns[:joints] @ [x, y, cables.guide_offset]
             below = np.array([x, y, -cables.guide_offset])
             apart = np.linalg.norm(above - below, axis=1)
             shortened.append(np.sum(apart - 2 * cables.guide_offset))
@@ -184,7 +182,7 @@ def hanging_angles(command: tuple[float, ...]) -> Array:
         low = np.maximum(taken_in(robot, hinges) - at_start - command - sag, 0)
         total = 0.5 * stiffness @ (hinges - rest) ** 2 + 0.5 * servo.gain * low @ low
         for (link, _), (place, turn) in zip(robot.links, walk(robot, hinges), strict=True):
-            total -= link.mass * fall @ (place + turn.apply([0, 0, link.center_of_mass]))
+            total -= link.mass * fall @ (place + turn @ [0, 0, link.center_of_mass])
         return float(total)
 
     return minimize(energy, np.zeros(robot.num_hinges), method="BFGS", options={"gtol": 1e-9}).x

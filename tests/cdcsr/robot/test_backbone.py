@@ -238,7 +238,7 @@ def test_an_arm_starts_at_its_rest_angles_and_stays_there(engine: str) -> None:
         state = simulation.state()
         np.testing.assert_allclose(state.joint_angles, [robot.start_angles], atol=1e-5)
         place = walk(robot, np.array(robot.start_angles))[-1]
-        tip = place[0] + place[1].apply([0, 0, 0.2])
+        tip = place[0] + place[1] @ [0, 0, 0.2]
         np.testing.assert_allclose(state.tip_position[0], tip, atol=1e-6)
         simulation.step(np.array([[0.0, -2.0]]), 300)
         # Stock MuJoCo gives way by up to 0.08 rad; the other limit is 1 rad away.

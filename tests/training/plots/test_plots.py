@@ -103,12 +103,12 @@ TARGETS = np.array([(0.25, 0.1, 2.5), (0.15, 0.05, 2.4)])
 BACKENDS = ("mujoco", "pybullet")
 
 
-def read_video(path: Path) -> NDArray[np.int64]:
+def read_video(path: Path) -> NDArray[np.int16]:
     """Return all frames, shape (n, height, width, 3)."""
     with warnings.catch_warnings():
         # The reader leaves a pipe open until it is collected.
         warnings.simplefilter("ignore", ResourceWarning)
-        frames = np.array(list(imageio.get_reader(path).iter_data()), dtype=np.int64)
+        frames = np.array(list(imageio.get_reader(path).iter_data()), dtype=np.int16)
         gc.collect()
     return frames
 
@@ -148,7 +148,7 @@ def test_video_shows_a_moving_robot_in_each_half(
     assert read.shape == (expected, video.CAPTION + video.HEIGHT, 2 * video.WIDTH, 3)
     for half in np.split(read, 2, axis=2):
         drawn = half[:, video.CAPTION :]
-        share = (abs(drawn - BACKGROUND).max(axis=3) > 40).mean(axis=(1, 2))
+        share = (abs(drawn - np.array(BACKGROUND, np.int16)).max(axis=3) > 40).mean(axis=(1, 2))
         assert (share > 0.05).all()
         assert (share < 0.5).all()
         assert abs(drawn[0] - drawn[video.HOLD]).max() > 100
