@@ -237,7 +237,7 @@ def descend(optimizer: torch.optim.Optimizer, loss: Tensor) -> None:
 def average(targets: list[Layer], sources: list[Layer], rate: float) -> None:
     """Move target weights towards the learning ones (Polyak averages)."""
     # One launch on a GPU instead of one for each tensor.
-    torch._foreach_lerp_(  # type: ignore[attr-defined]  # optimizers use it, but stubs do not say so
+    torch._foreach_lerp_(  # type: ignore[attr-defined]  # not in the stubs
         parameters(targets), parameters(sources), rate
     )
 

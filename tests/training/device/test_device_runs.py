@@ -153,7 +153,7 @@ def test_a_stopped_run_has_no_summary(tmp_path: Path, demonstrations: Path) -> N
             "num_envs must be a multiple of 2 with device cuda and mujoco\\+mujoco-stock",
         ),
         (
-            {"seeds": "0:60", "numbers": {"num_envs": 2_000}},
+            {"seeds": "0:60", "numbers": {"num_envs": 2_000, "capacity": 100_000}},
             "60 seeds side by side have 120,000 copies with num_envs 2,000",
         ),
     ],
