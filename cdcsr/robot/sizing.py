@@ -45,6 +45,8 @@ class NewRobot:
     """The time step in [s]; by default in proportion, or less where a spring asks it."""
     cuboid: float = 1.0
     """The edges of the Anchor Space, as a multiple of those in proportion."""
+    spatter: float = 1.0
+    """The radius of Spatter, as a multiple of the one in proportion."""
 
     def __post_init__(self) -> None:
         bounds: tuple[tuple[str, float | None, float, float], ...] = (
@@ -115,6 +117,15 @@ class NewRobot:
         center = f"{_short(0.2 * self.size):g}, {_short(0.1 * self.size):g}, {height:g}"
         size = ", ".join([f"{_short(0.2 * self.size * self.cuboid):g}"] * 3)
         inertia = ", ".join([f"{mass * edge**2 / 6:.4g}"] * 3)
+        scale = ""
+        if self.spatter != 1:
+            whole = 0.15 * self.size
+            scale = f"""
+# The radius of Spatter. With {_short(whole):g} m, in proportion, the demonstrator would miss
+# more than 5 % of the targets.
+[scale]
+spatter = {_short(whole * self.spatter):g}
+"""
         fall = f"gravity = [0.0, 0.0, -{_FALL}]\n" if self.gravity else ""
         more = "" if self.mount == "free" else f'mount = "{self.mount}"\n'
         if self.gravity:
@@ -140,7 +151,7 @@ recovery_time = {2 * step:.4g}
 [workspace]
 center = [{center}]
 size = [{size}]
-"""
+{scale}"""
 
     def _segment(self, number: int) -> str:
         """Return one segment, counted from the base."""

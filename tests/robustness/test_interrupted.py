@@ -273,6 +273,7 @@ def place(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Place]:
         quick = evaluations.Evaluation(whole.columns, measure)  # type: ignore[arg-type]
         patch.setitem(evaluations.EVALUATIONS, "nominal", quick)
         patch.setattr(making, "_reached_corners", lambda _: 9)
+        patch.setattr(making, "_reached_in_spatter", lambda _: 400)
         for name in ("_packages", "_engines", "_rendering", "_machine"):
             patch.setattr(doctoring, name, lambda: iter(()))
         for module, name in (
