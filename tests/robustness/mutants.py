@@ -4,13 +4,13 @@ The changes are those of cosmic-ray. Of each package a random sample is taken, t
 same seed. It runs in a copy of the project, so the sources stay as they are. The tests of a package
 run once under coverage; then each change gets the tests that run the changed line, quickest first,
 until one fails. No test may fail on sources without a change. Left out is what means nothing:
-changes of annotations that are never evaluated, of decorators, and of what a type checker reads.
+changes of annotations that are never evaluated, of decorators, and of what a type checker reads;
+and what is told from the syntax to be no fault: see :func:`tests.support.reach.meaning`.
 """
 
 from __future__ import annotations
 
 import argparse
-import ast
 import compileall
 import contextlib
 import importlib
@@ -35,7 +35,7 @@ from cosmic_ray.ast import ast_nodes, get_ast  # type: ignore[import-not-found]
 from cosmic_ray.mutating import mutate_code  # type: ignore[import-not-found]
 from cosmic_ray.plugins import get_operator, operator_names  # type: ignore[import-not-found]
 
-from tests.support.reach import Chosen, Reach
+from tests.support.reach import Chosen, Reach, meaning
 
 ROOT = Path(__file__).parents[2]
 PHYSICS = "tests/backends/physics/test_"
@@ -86,51 +86,6 @@ class Mutant(NamedTuple):
     """The first line that differs."""
     text: str
     """The text that stands there then."""
-
-
-class Strip(ast.NodeTransformer):
-    """Take away what does nothing when the code runs."""
-
-    def visit_arg(self, node: ast.arg) -> ast.arg:
-        node.annotation = None
-        return node
-
-    def visit_FunctionDef(self, node: ast.FunctionDef) -> ast.FunctionDef:
-        node.returns, node.decorator_list = None, []
-        self.generic_visit(node)
-        node.body = [self._bare(each) for each in node.body]
-        return node
-
-    def visit_ClassDef(self, node: ast.ClassDef) -> ast.ClassDef:
-        self.generic_visit(node)
-        kind = " ".join(map(ast.unparse, [*node.decorator_list, *node.bases]))
-        if re.search("dataclass|NamedTuple|Protocol", kind):  # pydantic evaluates annotations
-            node.body = [self._bare(each) for each in node.body]
-        node.decorator_list = []
-        return node
-
-    def visit_Module(self, node: ast.Module) -> ast.Module:
-        self.generic_visit(node)
-        node.body = [self._bare(each) for each in node.body]
-        return node
-
-    def visit_If(self, node: ast.If) -> ast.AST | None:
-        self.generic_visit(node)
-        return None if "TYPE_CHECKING" in ast.unparse(node.test) else node
-
-    @staticmethod
-    def _bare(node: ast.stmt) -> ast.stmt:
-        if isinstance(node, ast.AnnAssign):
-            node.annotation = ast.Constant(None)
-        return node
-
-
-def meaning(code: str) -> str | None:
-    """Return a text that is the same for code that does the same; None for what is no Python."""
-    try:
-        return ast.dump(Strip().visit(ast.parse(code)))
-    except SyntaxError:
-        return None
 
 
 def mutants(package: str) -> Iterator[tuple[str, str, int]]:

@@ -1,8 +1,11 @@
-"""Plugins of pytest that find which tests run which lines, and that run chosen tests only."""
+"""Find which tests run which lines, run chosen tests only, and tell what changes of a source mean:
+what mutation testing needs (tests/robustness/mutants.py)."""
 
 from __future__ import annotations
 
+import ast
 import json
+import re
 import sys
 from collections import defaultdict
 from collections.abc import Iterator
@@ -89,3 +92,73 @@ class Chosen:
             (each for each in items if each.nodeid in self._place),
             key=lambda each: self._place[each.nodeid],
         )
+
+
+INK = {"alpha", "capsize", "fontsize", "labelsize", "linewidth", "lw", "markersize", "ms", "pad"}
+"""Arguments of Matplotlib that say how large, thick or dense the ink of a figure is."""
+_IDENTITY = {ast.Eq: ast.Is(), ast.NotEq: ast.IsNot()}
+
+
+class Strip(ast.NodeTransformer):
+    """Take away what does nothing when the code runs, and what makes no fault."""
+
+    def visit_arg(self, node: ast.arg) -> ast.arg:
+        node.annotation = None
+        return node
+
+    def visit_FunctionDef(self, node: ast.FunctionDef) -> ast.FunctionDef:
+        node.returns, node.decorator_list = None, []
+        self.generic_visit(node)
+        node.body = [self._bare(each) for each in node.body]
+        return node
+
+    def visit_ClassDef(self, node: ast.ClassDef) -> ast.ClassDef:
+        self.generic_visit(node)
+        kind = " ".join(map(ast.unparse, [*node.decorator_list, *node.bases]))
+        if re.search("dataclass|NamedTuple|Protocol", kind):  # pydantic evaluates annotations
+            node.body = [self._bare(each) for each in node.body]
+        node.decorator_list = []
+        return node
+
+    def visit_Module(self, node: ast.Module) -> ast.Module:
+        self.generic_visit(node)
+        node.body = [self._bare(each) for each in node.body]
+        return node
+
+    def visit_If(self, node: ast.If) -> ast.AST | None:
+        self.generic_visit(node)
+        return None if "TYPE_CHECKING" in ast.unparse(node.test) else node
+
+    def visit_Call(self, node: ast.Call) -> ast.Call:
+        self.generic_visit(node)
+        if ast.unparse(node.func) == "zip":
+            node.keywords = [each for each in node.keywords if each.arg != "strict"]
+        node.keywords = [each for each in node.keywords if each.arg not in INK]
+        return node
+
+    def visit_Compare(self, node: ast.Compare) -> ast.Compare:
+        self.generic_visit(node)
+        if ast.unparse(node.comparators[-1]) == "None":
+            node.ops = [_IDENTITY.get(type(each), each) for each in node.ops]
+        return node
+
+    @staticmethod
+    def _bare(node: ast.stmt) -> ast.stmt:
+        if isinstance(node, ast.AnnAssign):
+            node.annotation = ast.Constant(None)
+        return node
+
+
+def meaning(code: str) -> str | None:
+    """Return a text that is the same for code that does the same; None for what is no Python.
+
+    It is also the same where only these differ:
+
+    - whether `zip` checks that lengths are equal: an assertion, which no right call breaks,
+    - `is None` and `== None`: the second is what `make check` (E711) refuses,
+    - arguments in :data:`INK`: the look of a figure.
+    """
+    try:
+        return ast.dump(Strip().visit(ast.parse(code)))
+    except SyntaxError:
+        return None
