@@ -360,6 +360,7 @@ class MjModel:
     geom_bodyid: _Ints
     site_bodyid: _Ints
     site_pos: _Floats
+    site_size: _Floats
     geom_contype: _Ints
     geom_conaffinity: _Ints
     geom_group: _Ints
@@ -371,6 +372,7 @@ class MjModel:
     tendon_solimp_lim: _Floats
     tendon_range: _Floats
     tendon_stiffness: _Floats
+    tendon_width: _Floats
     tendon_lengthspring: _Floats
     light_pos: _Floats
     light_dir: _Floats

@@ -9,9 +9,11 @@ import pytest
 from backends.mujoco.active_cables import stepping_spec
 from backends.mujoco.model import build_spec
 from backends.mujoco.model_choices import Choice, cheapest, model_choices
+from backends.mujoco.simulation import MujocoSimulation
 from cdcsr.robot.colors import BACKGROUND, segment_color
 from cdcsr.robot.description import Robot, load_robot
 from cdcsr.robot.routing import cable_lengths, routing
+from cdcsr.simulation.plant import Parameters
 from cdcsr.simulation.rotations import rotation_matrix
 from tests.support.physics import changed, described_bodies, with_parts
 
@@ -58,8 +60,8 @@ def test_joints_have_the_described_springs_dampers_and_limits(robot: Robot) -> N
             assert hinge.range.tolist() == [-joint.limit, joint.limit]
     for c, servo in enumerate(robot.servos):
         assert model.joint(f"slide_{c}").damping[0] == servo.damping
-        assert model.actuator(f"servo_{c}").gainprm[0] == servo.gain
-        assert model.actuator(f"servo_{c}").biasprm[:3].tolist() == [0, -servo.gain, 0]
+        assert model.actuator(f"servo_{c}").gainprm.tolist() == [servo.gain, *9 * [0]]
+        assert model.actuator(f"servo_{c}").biasprm.tolist() == [0, -servo.gain, *8 * [0]]
     assert model.opt.timestep == robot.time_step
     assert not model.opt.gravity.any()
 
@@ -116,6 +118,10 @@ def test_parts_look_as_large_as_described_and_weigh_and_touch_nothing(paper: Rob
         assert model.geom_size[ball, 0] == servo.radius
         np.testing.assert_array_equal(data.geom_xpos[ball], slider.xpos)
     np.testing.assert_allclose(data.site("tip").xpos, [0, 0, height], atol=1e-12)
+    # Cables and guides are thin beside the links, which are 0.2 m long, and can be seen.
+    assert 0 < model.tendon_width.min() <= model.tendon_width.max() < 0.01
+    radius = model.site_size[:, 0]
+    assert 0 < radius.min() <= radius.max() < 0.02
     # What a viewer looks at: the middle of base and arm, and as far as it reaches.
     np.testing.assert_allclose(model.stat.center, [0, 0, (paper.top + 2.4) / 2], atol=1e-12)
     oblong = changed(paper, base=paper.model_dump()["base"] | {"size": (0.9, 0.5, 0.6)})
@@ -159,12 +165,16 @@ def test_coupled_hinges_follow_their_leaders_and_need_another_solver(paper: Robo
     first = 1 + coupled.num_cables  # the base's joint is the first
     followers = [n for n, leader in enumerate(coupled.leaders) if n != leader]
     assert (pairs - first).tolist() == [[n, coupled.leaders[n]] for n in followers]
-    assert (model.eq_data[linked, :5] == [0, 1, 0, 0, 0]).all()
+    assert (model.eq_data[linked] == [0, 1, *(model.eq_data.shape[1] - 2) * [0]]).all()
     time, impedance = coupled.constraint.recovery_time, coupled.mujoco.impedance
     assert (model.eq_solref[linked] == [time, 1.0]).all()
     assert (model.eq_solimp[linked] == [impedance, impedance, 0.001, 0.5, 2]).all()
     assert model.opt.solver == mujoco.mjtSolver.mjSOL_NEWTON
     assert build_spec(paper).compile().opt.solver == mujoco.mjtSolver.mjSOL_PGS
+    stepped, h = stepping_spec(coupled).compile(), coupled.time_step
+    assert stepped.eq_active0.all()
+    assert (stepped.eq_solref == [-1 / h**2, -1 / h]).all()
+    assert (stepped.eq_solimp[:, :2] == 0.9999).all()
 
 
 def test_the_model_that_is_stepped_has_implicit_dampers_and_rigid_cables(paper: Robot) -> None:
@@ -221,6 +231,27 @@ def test_an_elastic_cable_is_a_spring_that_only_pulls(paper: Robot) -> None:
     np.testing.assert_allclose(model.tendon_stiffness, 3e3 / rest, rtol=1e-12)
     np.testing.assert_allclose(model.tendon_lengthspring, [[0, r] for r in rest], rtol=1e-12)
     assert model.tendon_range[:, 1].min() >= 1e6
+
+
+def test_an_elastic_cable_is_a_constraint_of_half_impedance(paper: Robot) -> None:
+    """R = w (1 - d) / d, which is w for d = 1/2: it is c / h^2, where c = L / (E A), but never
+    less than that of a cable that does not stretch."""
+    simulation = MujocoSimulation(paper, 3)
+    strain = np.array([1e-4, 0.0, 1e-13])
+    simulation.set_parameters(None, Parameters(cable_strain=strain))
+    model, cables = simulation.model, paper.num_cables
+    names = ("tendon_invweight0", "eq_solimp", "eq_solref")
+    weight, impedance, reference = (simulation.batch.expand(name)[:, :cables] for name in names)
+    h, rest = paper.time_step, routing(paper).rest_length
+    rigid, described = model.eq_solimp[0], model.tendon_invweight0
+    np.testing.assert_allclose(weight[0], 1e-4 * rest / h**2, rtol=1e-9)
+    np.testing.assert_allclose(weight[1], described, rtol=1e-12)
+    np.testing.assert_allclose(weight[2], described * (1 - rigid[0]) / rigid[0], rtol=1e-3)
+    assert (impedance[[0, 2]] == [0.5, 0.5, *rigid[2:]]).all()
+    assert (impedance[1] == rigid).all()
+    # MuJoCo multiplies stiffness by d; then a = -v / h - excess / h^2, as of rigid ones.
+    np.testing.assert_allclose(reference[[0, 2]], np.full((2, cables, 2), [-0.5 / h**2, -0.5 / h]))
+    assert (reference[1] == model.eq_solref[:cables]).all()
 
 
 def test_the_light_is_white_and_falls_on_the_arm(paper: Robot) -> None:

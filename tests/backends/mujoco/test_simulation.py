@@ -16,13 +16,15 @@ import numpy as np
 import pytest
 
 from backends.contract_suite.states import assert_same, commands_of, moving, running, straight
-from backends.mujoco.active_cables import CURRENT
+from backends.mujoco.active_cables import CURRENT, Cables
 from backends.mujoco.simulation import MujocoSimulation
 from cdcsr.errors import Diverged
 from cdcsr.robot.colors import TARGET
-from cdcsr.robot.description import Robot
+from cdcsr.robot.description import Robot, load_robot
 from cdcsr.simulation.cameras import CAMERAS
+from cdcsr.simulation.capstan import Capstan
 from cdcsr.simulation.contract import Array
+from cdcsr.simulation.plant import Parameters
 from tests.support.physics import slack, with_parts
 
 
@@ -147,6 +149,56 @@ def test_a_cable_that_stays_taut_gives_back_the_same_share_in_every_step(paper: 
         simulation.step(command)
         excess.append(-slack(paper, simulation)[0, 0])
     np.testing.assert_allclose(excess, 2e-3 * keep ** np.arange(1, 7), rtol=0, atol=1e-6)
+
+
+def test_cables_that_would_change_in_a_circle_are_changed_one_by_one(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """The robot's matrix is replaced by a positive definite one of three cables for which changing
+    all wrong ones at once comes back to where it was. The end solves 0 <= t, 0 <= w = M t + q,
+    t w = 0. The other copy's cables are slack."""
+    robot = load_robot("planar-single")
+    cables, step = MujocoSimulation(robot, 2)._cables, robot.time_step
+    assert isinstance(cables, Cables)
+    assert cables.friction is None  # which no cable has
+    matrix, q = np.eye(4), np.array([[1, 1, 1, 1.0], [-4, 3, 1, 1]])
+    matrix[:3, :3] = [[12, -10, -8], [-10, 13, 13], [-8, 13, 14]]
+    held, rest = np.zeros((2, 4)), np.ones((2, 4))
+    length = rest.copy()
+    seen: list[list[int]] = []
+
+    def advance(_: Array, ids: Array | None = None) -> Array:
+        force = np.zeros((2, 4))
+        for copy_, on in enumerate(map(np.flatnonzero, held)):
+            force[copy_, on] = np.linalg.solve(matrix[np.ix_(on, on)], -q[copy_, on])
+        length[:] = rest - step * (force @ matrix + q)
+        seen.append([0, 1] if ids is None else list(ids))
+        return force
+
+    for name, value in {"_held": held, "_length": length, "_advance": advance}.items():
+        monkeypatch.setattr(cables, name, value)
+    monkeypatch.setattr(cables, "_aim", lambda: rest)
+    cables.step()
+    short = cables.tension @ matrix + q
+    assert not cables.tension[0].any()
+    assert short.min() > -1e-9
+    np.testing.assert_allclose(cables.tension * short, 0, atol=1e-9)
+    assert seen[0] == [0, 1]
+    assert len(seen) > 5
+    assert all(ids == [1] for ids in seen[1:])
+
+
+def test_a_copy_that_becomes_smooth_forgets_its_friction(paper: Robot) -> None:
+    robot = with_parts(paper, cables={"guide_friction": 0.2})
+    simulation, places = MujocoSimulation(robot, 2), len(Capstan(robot).cable)
+    for command in commands_of(robot, 20, 2):
+        simulation.step(command)
+    before = simulation.get_snapshot().private[:, -places:]
+    simulation.set_parameters([0], Parameters(guide_friction=-0.2))
+    after = simulation.get_snapshot().private[:, -places:]
+    assert before.max() > 0.01
+    assert not after[0].any()
+    np.testing.assert_array_equal(after[1], before[1])
 
 
 def test_a_few_copies_are_stepped_by_one_thread(

@@ -36,6 +36,22 @@ def test_what_rlpd_and_her_have_of_their_own() -> None:
     assert pair["critics"] == 2
 
 
+def test_a_preset_is_what_the_pages_say_of_it() -> None:
+    """docs/getting-started.md and docs/learners.md: runs of 12,000 updates; on a GPU 1,024 copies,
+    batches of 1,024 rows, two updates a step and a larger replay."""
+    tuned, gpu = own_numbers("clasp", "tuned"), own_numbers("clasp", "gpu")
+    numbers = tuned.model_dump()
+    assert (numbers["updates"], numbers["critics"]) == (12_000, 2)
+    assert dict(differences(gpu, tuned)) == {
+        "num_envs": 1_024,
+        "batch_size": 1_024,
+        "updates_per_step": 2,
+        "capacity": 2 * numbers["capacity"],
+    }
+    single = own_numbers("batd3-no-ensemble", "tuned").model_dump()
+    assert (single["critics"], single["target_critics"]) == (1, 1)
+
+
 def test_the_stored_runs_were_made_with_the_numbers_of_their_presets() -> None:
     """So the shipped tables say how a run of today learns. Left out are runs that changed numbers,
     and numbers that a run is older than."""
