@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import mujoco
 import numpy as np
 import pytest
 
 from backends.mujoco.active_cables import stepping_spec
+from backends.mujoco.export import write_mjcf
 from backends.mujoco.model import build_spec
 from backends.mujoco.model_choices import Choice, cheapest, model_choices
 from backends.mujoco.simulation import MujocoSimulation
@@ -80,6 +83,7 @@ def test_limits_are_as_soft_as_described_and_equalities_are_rigid(paper: Robot) 
     assert (model.tendon_solimp_lim == shape).all()
     assert model.jnt_limited[hinged].all()
     assert model.tendon_limited.all()
+    assert not model.tendon_range[:, 0].any()
     sliders = model.jnt_range[model.jnt_type == mujoco.mjtJoint.mjJNT_SLIDE]
     assert sliders[:, 0].max() <= -1e6
     assert sliders[:, 1].tolist() == [servo.stop for servo in paper.servos]
@@ -231,6 +235,24 @@ def test_an_elastic_cable_is_a_spring_that_only_pulls(paper: Robot) -> None:
     np.testing.assert_allclose(model.tendon_stiffness, 3e3 / rest, rtol=1e-12)
     np.testing.assert_allclose(model.tendon_lengthspring, [[0, r] for r in rest], rtol=1e-12)
     assert model.tendon_range[:, 1].min() >= 1e6
+
+
+def test_a_file_holds_lengths_of_elastic_and_rigid_cables_to_the_last_digit(
+    paper: Robot, tmp_path: Path
+) -> None:
+    """MuJoCo writes six digits, which would leave cables slack, or pulling, at the start."""
+    odd = with_parts(paper, cables={"guide_offset": 0.0212345678})
+    rest = routing(odd).rest_length
+    for robot in (odd, with_parts(odd, cables={"axial_stiffness": 3e3})):
+        write_mjcf(robot, tmp_path, {})
+        model = mujoco.MjModel.from_xml_path(str(tmp_path / "paper.xml"))
+        data = mujoco.MjData(model)
+        mujoco.mj_forward(model, data)
+        elastic = robot is not odd
+        found = model.tendon_lengthspring if elastic else model.tendon_range + 1e-9
+        np.testing.assert_allclose(found[:, 1], rest, rtol=1e-12)
+        np.testing.assert_allclose(data.ten_length, rest, rtol=1e-12)
+        assert model.tendon_stiffness.any() == elastic
 
 
 def test_an_elastic_cable_is_a_constraint_of_half_impedance(paper: Robot) -> None:

@@ -188,7 +188,7 @@ def test_cables_that_would_change_in_a_circle_are_changed_one_by_one(
     assert all(ids == [1] for ids in seen[1:])
 
 
-def test_a_copy_that_becomes_smooth_forgets_its_friction(paper: Robot) -> None:
+def test_a_copy_that_becomes_smooth_or_is_reset_forgets_its_friction(paper: Robot) -> None:
     robot = with_parts(paper, cables={"guide_friction": 0.2})
     simulation, places = MujocoSimulation(robot, 2), len(Capstan(robot).cable)
     for command in commands_of(robot, 20, 2):
@@ -199,6 +199,8 @@ def test_a_copy_that_becomes_smooth_forgets_its_friction(paper: Robot) -> None:
     assert before.max() > 0.01
     assert not after[0].any()
     np.testing.assert_array_equal(after[1], before[1])
+    simulation.reset([1])
+    assert not simulation.get_snapshot().private[:, -places:].any()
 
 
 def test_a_few_copies_are_stepped_by_one_thread(
