@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
+from dataclasses import replace
+from types import SimpleNamespace
 from typing import Any
 
 import mujoco
@@ -11,15 +13,17 @@ import pytest
 from scipy.spatial.transform import Rotation
 from trimesh import creation
 
-from backends.contract_suite.states import moving
+from backends.contract_suite.states import moving, straight
 from backends.mujoco.simulation import MujocoSimulation
 from backends.viewers.driving import Shown
 from backends.viewers.session import Session
+from cdcsr.robot.colors import CABLE_RADIUS
 from cdcsr.robot.description import Robot, load_robot
 from cdcsr.robot.meshes import visual_meshes
+from cdcsr.robot.ruler import ruler
 from cdcsr.tasks.debris import load_surface
 from cdcsr.tasks.spaces import Balls, anchor
-from cdcsr.tasks.workspace_map import load_workspace
+from cdcsr.tasks.workspace_map import Workspace, load_workspace
 
 viser = pytest.importorskip("viser", reason="the extra `view` is not installed")
 
@@ -126,6 +130,102 @@ def test_spaces_are_drawn_where_their_targets_are(paper: Robot, tmp_path: Any) -
     np.testing.assert_allclose(np.ptp(vertices.reshape(-1, 3), axis=0), (0.4, 0.02, 0.4), atol=1e-6)
 
 
+def test_flat_and_other_spaces_are_drawn_thin_and_as_points(paper: Robot) -> None:
+    from backends.viewers.scene import _add_space
+
+    flat, scene = replace(anchor(paper), size=np.array([0.4, 0.0, 0.2])), Recorder()
+    whole = load_workspace(paper)
+    other = Sampled(whole)
+    for space in (flat, whole, other):
+        _add_space(scene, "space", space, 2.0)  # type: ignore[arg-type]
+    box, hull, cloud = scene.asked
+    np.testing.assert_allclose(box[1][2], [0.4, 2e-3, 0.2])
+    for _, _, options in (box, hull):  # the arm is in no shadow of what is no body
+        assert (options["cast_shadow"], options["receive_shadow"]) == (False, False)
+    assert cloud[0] == "add_point_cloud"
+    np.testing.assert_array_equal(cloud[1][1], other.drawn.astype(np.float32))
+    assert 1000 <= len(other.drawn) <= 10_000
+    assert 0.002 < cloud[2]["point_size"] < 0.05  # seen, and hardly on each other
+
+
+class Sampled:
+    """A space of no known kind."""
+
+    def __init__(self, inner: Workspace) -> None:
+        self._inner = inner
+
+    def sample(self, rng: np.random.Generator, num: int) -> np.ndarray:
+        self.drawn = self._inner.sample(rng, num)
+        return self.drawn
+
+
+def test_a_scene_has_a_title_below_and_lines_of_the_cables_size(paper: Robot) -> None:
+    """Lines are as thick as the cylinders of pictures; the title stands below the base."""
+    from backends.viewers.scene import EngineScene
+
+    scene = Recorder()
+    server: Any = SimpleNamespace(scene=scene)
+    EngineScene(server, paper, "one", 2, anchor(paper))
+    asked = {
+        args[0].rpartition("/")[2]: (what, args, options) for what, args, options in scene.asked
+    }
+    assert all(args[0].startswith("/engine2") for _, args, _ in scene.asked)
+    assert asked["engine2"][2]["show_axes"] is False
+    title = asked["title"]
+    assert title[1][1] == "one"
+    x, y, below = title[2]["position"]
+    assert (x, y) == (0, 0)
+    assert -0.3 * 2.4 < below + paper.top < -0.1 * 2.4
+    thin = ruler(paper).size * CABLE_RADIUS
+    assert asked["cables"][2]["thickness"] == pytest.approx(2 * thin)
+    assert 2 * thin < asked["trail"][2]["thickness"] < 5 * thin
+    assert asked["target"][1][1] == pytest.approx(0.018)
+    assert asked["space"][0] == "add_box"
+    links = [args for what, args, _ in scene.asked if what == "add_batched_meshes_trimesh"]
+    assert sum(len(args[2]) for args in links) == paper.num_links
+
+
+def test_a_page_draws_each_moment_with_its_trail_and_its_slack(
+    paper: Robot, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A trail begins anew with another target. The straight robot's cables are slack by the travel
+    of their sliders."""
+    from backends.viewers import page as room
+
+    drawn: list[tuple[int, list[np.ndarray]]] = []
+
+    class Scene:
+        def __init__(self, _: Any, robot: Robot, title: str, number: int, debris: Any) -> None:
+            assert (robot, title, debris) == (paper, "ab"[number], None)
+            self.number, self.origin = number, np.zeros(3)
+
+        def draw(self, *values: np.ndarray) -> None:
+            drawn.append((self.number, [np.array(each) for each in values]))
+
+    monkeypatch.setattr(room, "EngineScene", Scene)
+    moments, targets = [], [np.array([0.1, 0.0, 2.0]), np.array([0.2, 0.0, 2.0])]
+    for n, target in enumerate([targets[0], targets[0], targets[1]]):
+        engines = []
+        for number in range(2):
+            position = straight(paper, 1, travel=0.001 * n).position[0]
+            position[0] = number + 0.1 * n
+            engines.append(room.Moment(position, np.full(8, 1.0 * n), target))
+        moments.append(engines)
+    text = room.page(paper, ["a", "b"], moments, 0.5)
+    assert text.lstrip().lower().startswith("<!doctype html>")
+    assert [number for number, _ in drawn] == [0, 1] * 3
+    tip = 0.3 + 2.4
+    for (number, values), n in zip(drawn, [0, 0, 1, 1, 2, 2], strict=True):
+        position, tension, slack, trail, target = values
+        np.testing.assert_array_equal(position, moments[n][number].position)
+        assert (tension == n).all()
+        np.testing.assert_allclose(slack, 0.001 * n, atol=1e-12)
+        since = [0, 0, 2][n]
+        xs = [number + 0.1 * k for k in range(since, n + 1)]
+        np.testing.assert_allclose(trail, [[x, 0, tip] for x in xs], atol=1e-12)
+        np.testing.assert_array_equal(target, moments[n][number].target)
+
+
 @pytest.mark.parametrize("name", ["paper", "hanging-arm", "bench-arm"])
 def test_the_eye_sees_the_ends_of_all_robots(name: str, server: Any) -> None:
     """A page's field of view is about a radian; both ends are within it, and not far within."""
@@ -180,4 +280,69 @@ def test_numbers_and_plots_are_in_their_units(paper: Robot, server: Any) -> None
     shown = [*1e3 * states[0].base_position[0], turn]
     np.testing.assert_allclose([each[-1] for each in base[1:]], shown, rtol=1e-3)
     assert turn > 0.01
+    session.close()
+
+
+def test_controls_have_the_ranges_of_the_session(paper: Robot, server: Any) -> None:
+    """Cables from 0 to their full command; what is set by hand is not set back while it drives."""
+    from backends.viewers.controls import _COLORS, Controls
+
+    session = Session(paper, ["mujoco"], anchor(paper), [], [Shown(np.zeros(3), True)] * 3)
+    controls = Controls(server, session, lambda do: do())
+    for pull in controls._pulls:
+        assert (pull.min, pull.max, pull.value) == (0, 5, 0)
+        assert pull.step == pytest.approx(5 / 200)
+    assert (controls._episode.min, controls._episode.max, controls._episode.value) == (1, 3, 1)
+    assert (controls._seed.min, controls._seed.step, controls._seed.value) == (0, 1, 0)
+    for name, slider in {**controls._plant, **controls._noise}.items():
+        number = {**session.numbers, **session.disturbing.numbers}[name]
+        found = slider.min, slider.max, slider.step, slider.value
+        assert found == (number.low, number.high, number.step, number.start)
+    plots: list[Any] = controls._plots
+    series = [plot.series[1:] for plot in plots]
+    assert [len(each) for each in series] == [1, 8, 4]
+    assert [line["stroke"] for line in series[1]] == list(_COLORS)
+    assert [line["label"] for line in series[1]] == [f"cable {n}" for n in range(1, 9)]
+    assert [bool(plot.legend["show"]) for plot in plots] == [True, False, True]
+    controls._show_episode(2)
+    assert (session.driving.chosen, controls._episode.value) == (2, 3)
+    controls._next_target()
+    assert (session.seed, controls._seed.value) == (1, 1)
+    session.driving.command = np.full(8, -2.0)
+    controls._show_numbers()  # after an episode began
+    assert [pull.value for pull in controls._pulls] == [2.0] * 8
+    session.driving.command = np.full(8, -1.0)
+    controls._show_numbers()
+    assert [pull.value for pull in controls._pulls] == [2.0] * 8
+    session.close()
+
+
+def test_numbers_and_plots_are_shown_now_and_then(
+    paper: Robot, server: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Numbers at most ten times a second, plots about three times; updates are those in which
+    something changed, of which every other one is here."""
+    from backends.viewers import controls as room
+
+    now, session = 100.0, Session(paper, ["mujoco"], anchor(paper))
+    monkeypatch.setattr(room, "time", SimpleNamespace(perf_counter=lambda: now))
+    controls = room.Controls(server, session, lambda do: do())
+    numbers, plots = [], []
+    inner, values = controls._show_numbers, controls._plot_values
+    monkeypatch.setattr(controls, "_show_numbers", lambda: numbers.append(now) or inner())
+    monkeypatch.setattr(controls, "_plot_values", lambda: plots.append(now) or values())
+    for n in range(1, 256):
+        now = 100 + n / 64
+        controls.show(changed=n % 2 == 0)
+    assert controls._rate == pytest.approx(32, abs=1)
+    assert min(np.diff([100.0, *numbers])) >= 0.1
+    assert len(numbers) > 30
+    assert min(np.diff([100.0, *plots])) >= 0.3
+    assert 10 < len(plots) < 14
+    shown = controls._text.content
+    assert f"{controls._rate:.0f} updates/s" in shown
+    for n in range(256, 320):  # nothing changes: no plot is drawn again
+        now = 100 + n / 64
+        controls.show(changed=False)
+    assert len(plots) < 16
     session.close()

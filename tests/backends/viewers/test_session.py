@@ -1,22 +1,21 @@
-"""The session of the live view: time, driving, plants, episodes, and where cables are drawn."""
+"""The session of the live view: time, driving, plants and episodes."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 
 import numpy as np
 import pytest
 
 from backends.contract_suite.states import running
-from backends.viewers.cable_paths import CablePaths
-from backends.viewers.driving import HAND, RECORDING, Shown
-from backends.viewers.session import Session
+from backends.viewers.disturbing import NOISES, ShownNumber
+from backends.viewers.driving import HAND, RECORDING, Driving, Shown
+from backends.viewers.session import PLANT, Session
+from cdcsr.envs.disturbances import Channel, Disturbances
 from cdcsr.envs.gym_env import TaskVectorEnv
 from cdcsr.errors import CdcsrError, Diverged
-from cdcsr.robot.description import Robot, load_robot, shipped_robots
-from cdcsr.robot.poses import link_poses
-from cdcsr.robot.routing import cable_lengths, routing
-from cdcsr.robot.ruler import answer_time
+from cdcsr.robot.description import Robot, load_robot
+from cdcsr.robot.ruler import answer_time, ruler
 from cdcsr.simulation.plant import Parameters
 from cdcsr.simulation.state import State
 from cdcsr.tasks.spaces import anchor
@@ -265,21 +264,78 @@ def test_divergence_stops_the_session_at_its_start(
     assert session.steps == 0
 
 
-@pytest.mark.parametrize("name", shipped_robots())
-def test_cables_are_drawn_as_long_as_they_are(name: str) -> None:
-    robot, random = load_robot(name), np.random.default_rng(0)
-    paths, travel = CablePaths(robot), random.uniform(-0.01, 0.01, robot.num_cables)
-    hinges = random.uniform(-0.2, 0.2, robot.num_hinges)
-    quaternion = random.normal(size=4)
-    base = [*random.normal(size=3), *(quaternion / np.linalg.norm(quaternion))]
-    poses = link_poses(robot, np.concatenate([base, travel, hinges]))
-    pieces, sliders = paths.pieces(poses), paths.sliders(poses, travel)
-    length = np.linalg.norm(sliders[:, 1] - sliders[:, 0], axis=1)
-    outside = np.bincount(paths.cable, np.linalg.norm(pieces[:, 1] - pieces[:, 0], axis=1))
-    expected = cable_lengths(routing(robot), travel, hinges)
-    np.testing.assert_allclose(length + outside, expected, atol=1e-12)
-    slack = np.full(robot.num_cables, 0.0015 * robot.arm_length)
-    lines = paths.bowed(pieces, poses, slack)
-    owner = paths.of_lines(np.arange(float(robot.num_cables))).astype(int)
-    drawn = np.bincount(owner, np.linalg.norm(lines[:, 1] - lines[:, 0], axis=1))
-    np.testing.assert_allclose(drawn - outside, slack, rtol=0.08)  # of four straight lines
+@pytest.mark.parametrize("numbers", [PLANT, NOISES])
+def test_numbers_begin_where_they_change_nothing_and_move_in_whole_steps(
+    numbers: Mapping[str, ShownNumber],
+) -> None:
+    """Factors begin at 1 and everything else at 0; factors and amounts are not negative, and
+    shares at most 1."""
+    for number in numbers.values():
+        factor = number.title.endswith("factor")
+        assert number.start == (1 if factor else 0)
+        assert number.low <= number.start <= number.high
+        steps = np.array([number.start - number.low, number.high - number.low]) / number.step
+        np.testing.assert_allclose(steps, np.round(steps), atol=1e-9)
+        assert 20 <= steps[1] <= 100
+        if "share" in number.title:
+            assert number.high <= 1
+        if "added" not in number.title:
+            assert number.low >= 0
+        assert number.scale == (1e-3 if "[mm]" in number.title else 1)
+
+
+def test_failures_are_walked_through_in_a_circle(paper: Robot) -> None:
+    """Without recordings the first controller drives an episode that is shown."""
+    place = np.array([0.1, 0.0, 2.4])
+    episodes = [
+        Shown(place + 0.01 * n, success) for n, success in enumerate((False, True, False, True))
+    ]
+    drivers = [StepByStep(Still(), paper), StepByStep(JacobianController(paper), paper)]
+    driving = Driving(paper, drivers, episodes)
+    assert driving.names == [HAND, "still", "jacobian"]
+    seen = []
+    for _ in range(3):
+        number = driving.next_failure()
+        np.testing.assert_array_equal(driving.show(number), episodes[number].target)
+        seen.append(number)
+    assert seen == [2, 0, 2]
+    assert driving.name == "still"
+    driving.choose("jacobian")
+    driving.show(1)
+    assert driving.name == "jacobian"  # who drives goes on
+    driving.pull(7, -5.0)
+    driving.pull(0, 0.0)
+    assert driving.command.tolist() == [0, *[0] * 6, -5]
+    for number in (-1, 4):
+        with pytest.raises(CdcsrError, match="there are 4"):
+            driving.show(number)
+    with pytest.raises(CdcsrError, match="no cable 0"):
+        driving.pull(-1, 0.0)
+    with pytest.raises(CdcsrError, match=r"to 0; found 0\.01"):
+        driving.pull(0, 0.01)
+
+
+def test_a_command_is_held_for_the_rest_of_its_action(paper: Robot) -> None:
+    """The number of steps for which nothing changes: of a recording and a controller those that
+    its action has left; of the hand no limit, but an action where there is noise."""
+    quiet, random = (
+        Channel(Disturbances(action_noise=noise), np.random.default_rng(0)) for noise in (0.0, 0.1)
+    )
+    recorded = -np.arange(24.0).reshape(3, 8) / 10
+    driver, target = StepByStep(Still(), paper), np.array([0.1, 0.0, 2.4])
+    driving = Driving(paper, [driver], [Shown(target, True, recorded, 4)])
+    driving.show(0)
+    with running(paper, "mujoco") as simulation:
+        driving.begin(simulation, 5)
+        for step, row, left in ((5, 0, 4), (8, 0, 1), (9, 1, 4), (15, 2, 2), (40, 2, 1)):
+            assert driving.next_command(step, target, quiet) == left
+            np.testing.assert_array_equal(driving.arriving, recorded[row])
+        driving.choose("still")
+        driving.begin(simulation, 3)
+        skip = driver.frame_skip
+        assert [driving.next_command(3 + n, target, quiet) for n in range(3)] == [
+            skip - n % skip for n in range(3)
+        ]
+    driving.choose(HAND)
+    assert driving.next_command(0, target, quiet) == 0
+    assert driving.next_command(0, target, random) == ruler(paper).frame_skip

@@ -1,16 +1,26 @@
-"""The software renderer draws the robot's pose and the targets."""
+"""The software renderer draws the robot's pose and the targets; cables are drawn as they run."""
 
 from __future__ import annotations
 
 from pathlib import Path
 
+import mujoco
 import numpy as np
+import pybullet
+import pytest
 import trimesh
+from scipy.spatial.transform import Rotation
 
-from backends.contract_suite.states import straight
-from backends.viewers.software import Renderer
-from cdcsr.robot.description import Robot, load_robot
-from cdcsr.robot.poses import tip_at_start
+from backends.contract_suite.states import moving, straight
+from backends.mujoco.simulation import MujocoSimulation
+from backends.viewers.cable_paths import CablePaths
+from backends.viewers.software import Renderer, _turn_to
+from cdcsr.robot.colors import TARGET
+from cdcsr.robot.description import Robot, load_robot, shipped_robots
+from cdcsr.robot.poses import link_poses, tip_at_start
+from cdcsr.robot.routing import cable_lengths, routing
+from cdcsr.simulation.cameras import CAMERAS
+from cdcsr.simulation.contract import Array
 from cdcsr.tasks.debris import load_surface
 
 
@@ -77,3 +87,136 @@ def test_a_picture_holds_arms_that_hang_and_bases_that_are_wide() -> None:
         assert np.ptp(rows) > 0.2 * 240
         assert (plain[:, [0, -1]] == plain[0, 0]).all()
         assert (plain[[0, -1]] == plain[0, 0]).all()
+
+
+@pytest.mark.parametrize("camera", CAMERAS)
+def test_a_point_is_seen_where_a_pinhole_camera_has_it(camera: str, paper: Robot) -> None:
+    """Far from the robot a target alone is in the picture. Azimuth 0 and elevation 0 look along
+    +y; the picture is as high as the part of the world that is asked for, at the depth of its
+    middle. The light comes from above and from the right."""
+    azimuth, elevation = np.deg2rad(CAMERAS[camera])
+    flat = np.array([-np.sin(azimuth), np.cos(azimuth), 0.0])
+    gaze = np.cos(elevation) * flat + np.sin(elevation) * np.array([0.0, 0.0, 1.0])
+    right = np.array([np.cos(azimuth), np.sin(azimuth), 0.0])
+    up, center = np.cross(right, gaze), np.array([7.0, -9.0, 3.0])
+    renderer, position = Renderer(paper), straight(paper).position[0]
+    high, wide, radius = 96, 64, 0.018  # a target of the paper's robot, in [m]
+    for across, above, span in ((0.0, 0.0, 0.1), (0.05, 0.1, 0.4), (-0.06, -0.12, 0.4)):
+        target, focus = center + across * right + above * up, (center, span)
+        drawn = renderer.draw(position, camera, target, (high, wide), focus).astype(float)
+        ball = (drawn != drawn[0, 0]).any(axis=2)
+        rows, columns = np.nonzero(ball)
+        pixel = high / span
+        assert np.mean(columns) + 0.5 == pytest.approx(wide / 2 + across * pixel, abs=0.7)
+        assert np.mean(rows) + 0.5 == pytest.approx(high / 2 - above * pixel, abs=0.7)
+        # The eye is span / 2 / tan(12.5 degrees) away, so a ball looks hardly larger than its disc.
+        assert np.sqrt(ball.sum() / np.pi) == pytest.approx(radius * pixel, abs=0.7)
+        if span == 0.1:
+            red = drawn[..., 0]
+            upper, lower = rows < high / 2 - 8, rows > high / 2 + 8
+            later, sooner = columns > wide / 2 + 8, columns < wide / 2 - 8
+            light = red[rows, columns]
+            assert light[upper].mean() > 1.1 * light[lower].mean()
+            assert light[later].mean() > 1.02 * light[sooner].mean()
+            assert light.min() > 0.4 * TARGET[0]
+    renderer.close()
+
+
+def test_bodies_are_where_mujoco_has_them(paper: Robot) -> None:
+    """Base, links, the ball at the tip and the pieces of cables, which lie along their z axis."""
+    simulation, start = MujocoSimulation(paper), moving(paper, 1)
+    simulation.set_snapshot(start)
+    data = mujoco.MjData(simulation.model)
+    simulation.write_to(data)
+    mujoco.mj_forward(simulation.model, data)
+    renderer = Renderer(paper)
+    renderer.draw(start.position[0], targets=np.ones((2, 3)), size=(8, 6))
+    renderer.draw(start.position[0], targets=[[0.5, 0.0, 2.0]], size=(8, 6))
+
+    def pose(body: int) -> tuple[Array, Rotation]:
+        place, turn = pybullet.getBasePositionAndOrientation(body, renderer._client)
+        return np.array(place), Rotation.from_quat(turn)
+
+    names = ["base", *(f"link_{n}" for n in range(12))]
+    for name, bodies in zip(names, renderer._parts, strict=True):
+        number = simulation.model.body(name).id
+        for place, turn in map(pose, bodies):
+            np.testing.assert_allclose(place, data.body(name).xpos, atol=1e-6)
+            expected = data.xmat[number].reshape(3, 3)
+            np.testing.assert_allclose(turn.as_matrix(), expected, atol=1e-6)
+    np.testing.assert_allclose(pose(renderer._tip)[0], data.site("tip").xpos, atol=1e-6)
+    first, second = (pose(ball)[0] for ball in renderer._targets)
+    np.testing.assert_allclose(first, [0.5, 0.0, 2.0])
+    assert np.linalg.norm(second) > 100  # out of sight
+    low, high = (data.site(f"guide_0_0_{side}").xpos for side in ("low", "high"))
+    poses = [pose(line) for line in renderer._cables]
+    place, turn = min(poses, key=lambda each: np.linalg.norm(each[0] - (low + high) / 2))
+    np.testing.assert_allclose(place, (low + high) / 2, atol=1e-6)
+    along = (high - low) / np.linalg.norm(high - low)
+    np.testing.assert_allclose(turn.apply([0, 0, 1]), along, atol=1e-6)
+    renderer.close()
+    for direction in np.append(np.random.default_rng(0).normal(size=(5, 3)), [[0, 0, -2.0]], 0):
+        turned = Rotation.from_quat(_turn_to(direction)).apply([0, 0, np.linalg.norm(direction)])
+        np.testing.assert_allclose(turned, direction, atol=1e-9)
+
+
+def test_the_whole_robot_is_seen_with_a_rim(paper: Robot) -> None:
+    """The rim above and below is an eighth of the robot's height, and pictures of half the size
+    show the same."""
+    renderer, position = Renderer(paper), straight(paper).position[0]
+    large, small = (renderer.draw(position, "front", size=size) for size in ((240, 180), (120, 90)))
+    renderer.close()
+    rows = np.flatnonzero((large != large[0, 0]).any(axis=(1, 2)))
+    high = np.ptp(rows) + 1
+    assert rows[0] / high == pytest.approx(0.12, abs=0.03)
+    assert 0.03 < (239 - rows[-1]) / high < 0.12  # the base is nearer to the eye
+    coarse = large.reshape(120, 2, 90, 2, 3).mean(axis=(1, 3))
+    assert np.abs(coarse - small).mean() < 2
+
+
+@pytest.mark.parametrize("name", shipped_robots())
+def test_cables_are_drawn_as_long_as_they_are(name: str) -> None:
+    robot, random = load_robot(name), np.random.default_rng(0)
+    paths, travel = CablePaths(robot), random.uniform(-0.01, 0.01, robot.num_cables)
+    hinges = random.uniform(-0.2, 0.2, robot.num_hinges)
+    quaternion = random.normal(size=4)
+    base = [*random.normal(size=3), *(quaternion / np.linalg.norm(quaternion))]
+    poses = link_poses(robot, np.concatenate([base, travel, hinges]))
+    pieces, sliders = paths.pieces(poses), paths.sliders(poses, travel)
+    length = np.linalg.norm(sliders[:, 1] - sliders[:, 0], axis=1)
+    outside = np.bincount(paths.cable, np.linalg.norm(pieces[:, 1] - pieces[:, 0], axis=1))
+    expected = cable_lengths(routing(robot), travel, hinges)
+    np.testing.assert_allclose(length + outside, expected, atol=1e-12)
+    slack = np.full(robot.num_cables, 0.0015 * robot.arm_length)
+    lines = paths.bowed(pieces, poses, slack)
+    owner = paths.of_lines(np.arange(float(robot.num_cables))).astype(int)
+    drawn = np.bincount(owner, np.linalg.norm(lines[:, 1] - lines[:, 0], axis=1))
+    np.testing.assert_allclose(drawn - outside, slack, rtol=0.08)  # of four straight lines
+
+
+def test_slack_cables_bow_outward_by_half_a_sine() -> None:
+    """Along the straight arm the middle of a piece of length d that is e too long lies 2 / pi
+    sqrt(d e) farther from the axis, at the same height; a turned robot is drawn turned."""
+    robot = load_robot("planar-single")
+    paths, slack = CablePaths(robot), np.array([0.01, 0.0, 0.004, -0.01])
+    straight = np.zeros(7 + robot.num_cables + robot.num_hinges)
+    straight[3] = 1
+    poses = link_poses(robot, straight)
+    pieces = paths.pieces(poses)
+    lines = paths.bowed(pieces, poses, slack)
+    count = np.bincount(paths.cable)[paths.cable]
+    long = np.linalg.norm(pieces[:, 1] - pieces[:, 0], axis=1)
+    height = 2 / np.pi * np.sqrt(long * np.maximum(slack[paths.cable], 0) / count)
+    middle = lines.reshape(len(pieces), -1, 2, 3)[:, 1, 1]
+    mean = pieces.mean(axis=1)
+    away = np.linalg.norm(middle[:, :2], axis=1) - np.linalg.norm(mean[:, :2], axis=1)
+    np.testing.assert_allclose(away, height, atol=1e-9)
+    np.testing.assert_allclose(middle[:, 2], mean[:, 2], atol=1e-9)
+    assert height.max() > 1e-3
+    turn, place = Rotation.from_euler("xyz", (0.3, -1.0, 2.0)), np.array([1.0, -2.0, 0.5])
+    moved = straight.copy()
+    moved[:3], moved[3:7] = place, turn.as_quat(scalar_first=True)
+    poses = link_poses(robot, moved)
+    again = paths.bowed(paths.pieces(poses), poses, slack)
+    expected = turn.apply(lines.reshape(-1, 3)) + place
+    np.testing.assert_allclose(again.reshape(-1, 3), expected, atol=1e-9)

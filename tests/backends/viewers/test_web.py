@@ -8,6 +8,7 @@ import threading
 import time
 from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any, ClassVar
 
 import numpy as np
@@ -233,7 +234,8 @@ def test_it_listens_to_this_machine_only(url: str) -> None:
 @pytest.mark.parametrize(
     ("host", "port", "message"),
     [
-        ("127.0.0.1", 65536, "from 0 to 65535"),
+        ("127.0.0.1", 65536, "from 0 to 65535; found 65536"),
+        ("127.0.0.1", -1, "from 0 to 65535; found -1"),
         ("192.0.2.1", 8080, "Cannot listen at 192.0.2.1"),  # an address of nobody (RFC 5737)
         ("no such host", 8080, "Cannot listen at no such host"),
     ],
@@ -266,3 +268,40 @@ def test_updates_of_paper_take_less_than_a_core(paper: Robot) -> None:
     view.close()
     print(f"\n{rate:.0f} updates/s of a processor's time")
     assert rate > 25
+
+
+def test_a_page_that_was_asleep_loses_time_and_a_refusal_is_a_note(
+    paper: Robot, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """However long ago the last update was, a quarter of a second passes; and nothing is drawn
+    where nothing has changed."""
+    from backends.viewers import web as room
+
+    now, session = 100.0, Session(paper, ["mujoco"], anchor(paper))
+    monkeypatch.setattr(room, "time", SimpleNamespace(perf_counter=lambda: now))
+    room._check_address("127.0.0.1", 65535)
+    view, passed, drawn = room.WebView(session, port=0), [], []
+    inner, draw = session.advance, view._engines[0].draw
+    monkeypatch.setattr(session, "advance", lambda *given: passed.append(given) or inner(given[0]))
+    monkeypatch.setattr(
+        view._engines[0], "draw", lambda *given: drawn.append(given) or draw(*given)
+    )
+    for later in (100.125, 100.25, 107.0):
+        now = later
+        view.update()
+        assert len(drawn) == 1  # the first time only
+    np.testing.assert_allclose([seconds for seconds, _ in passed], [0.125, 0.125, 0.25])
+    assert {budget < 1 / 30 for _, budget in passed} == {True}
+    session.playing, session.speed = True, 1.0
+    view._asked.put(lambda: session.drive("nobody"))
+    now += 8.5 * paper.time_step
+    view.update()
+    assert "nobody" in session.note
+    assert session.steps == 8
+    assert len(drawn) == 2
+    _, _, slack, trail, target = drawn[-1]
+    np.testing.assert_allclose(slack, session.views()[0].slack)
+    np.testing.assert_array_equal(trail, [moment.tip[0] for moment in session.history])
+    np.testing.assert_array_equal(target, session.target)
+    assert view.num_pages == 0
+    view.close()
