@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
+import copy
 import io
 from collections.abc import Iterator
-from contextlib import AbstractContextManager, contextmanager, nullcontext
+from contextlib import contextmanager
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any, ClassVar
 
 import numpy as np
 import pytest
@@ -17,11 +21,12 @@ from tqdm import tqdm
 from backends.mujoco.simulation import MujocoSimulation
 from backends.parity import plots, report
 from backends.parity.checks import Check
+from backends.parity.one_state import compare, coordinate_names, one_state, random_states
 from backends.parity.one_step import QUANTITIES, OneStep
-from backends.parity.open_loop import OpenLoop
+from backends.parity.open_loop import OpenLoop, accurate_step, open_loop
 from backends.parity.report import Parity, measure, show
-from backends.parity.trajectories import random_commands
-from cdcsr.robot.description import load_robot
+from backends.parity.trajectories import Commands, random_commands
+from cdcsr.robot.description import Robot, load_robot
 from cdcsr.simulation.contract import Array
 
 STEPS = np.array([4e-3, 2e-3, 1e-3])
@@ -139,11 +144,13 @@ def test_the_plain_data_name_the_first_failure(parity: Parity) -> None:
 
 def test_the_bar_counts_every_step_that_is_made(monkeypatch: pytest.MonkeyPatch) -> None:
     robot, bars = load_robot("planar-single"), []
+    shown: list[bool | None] = []
 
     class Bar(tqdm):  # type: ignore[type-arg]
-        def __init__(self, total: int, unit: str, **_: object) -> None:
+        def __init__(self, total: int, unit: str, disable: bool | None) -> None:
             super().__init__(total=total, unit=unit, file=io.StringIO())
             bars.append(self)
+            shown.append(disable)
 
     monkeypatch.setattr(report, "tqdm", Bar)
     engines = {"a": MujocoSimulation, "b": MujocoSimulation}
@@ -151,13 +158,12 @@ def test_the_bar_counts_every_step_that_is_made(monkeypatch: pytest.MonkeyPatch)
     runs = [random_commands(robot, 2, seed=0, steps=3), random_commands(robot, 1, seed=0, steps=2)]
     measure(robot, engines, runs, seed=0, progress=True, switches=switches)
     assert [bar.n for bar in bars] == [bar.total for bar in bars] == [(6 + 2) * (2 + 2 * 15 + 1)]
+    measure(robot, engines, runs[1:], seed=0)
+    assert shown == [None, True]  # on a terminal; nowhere
 
 
-def test_the_figures_hold_the_measured_numbers(
-    parity: Parity, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
-) -> None:
-    """Curves of distributions, of errors over steps and of distances over time, in [mm], [ms] and
-    [s]."""
+def figures_of(parity: Parity, patch: pytest.MonkeyPatch) -> dict[str, Figure]:
+    """Return the figures by the names of their files, which are not written."""
     figures: dict[str, Figure] = {}
 
     @contextmanager
@@ -165,8 +171,17 @@ def test_the_figures_hold_the_measured_numbers(
         figures[path.stem] = Figure()
         yield figures[path.stem]
 
-    monkeypatch.setattr(plots, "drawn", kept)
-    plots.draw(parity, tmp_path)
+    patch.setattr(plots, "drawn", kept)
+    plots.draw(parity, Path("folder"))
+    return figures
+
+
+def test_the_figures_hold_the_measured_numbers(
+    parity: Parity, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Curves of distributions, of errors over steps and of distances over time, in [mm], [ms] and
+    [s]."""
+    figures = figures_of(parity, monkeypatch)
     assert list(figures) == ["paper-one-step", "paper-convergence", "paper-open-loop"]
     first, second, third = figures.values()
     for k, (panel, quantity) in enumerate(zip(first.axes, QUANTITIES, strict=True)):
@@ -189,6 +204,12 @@ def test_the_figures_hold_the_measured_numbers(
             np.testing.assert_allclose(data_of(found[label])[0], [4, 2, 1])
             np.testing.assert_allclose(data_of(found[label])[1], values, rtol=1e-9)
         assert panel.get_title() == f"{part.commands} commands; order: a 1.00, b 1.00"
+        first_engine, other = (found[f"{name} from its limit"] for name in "ab")
+        assert first_engine.get_markerfacecolor() == "none"  # open, so that others are seen in it
+        assert first_engine.get_markersize() > 1.5 * other.get_markersize()
+        assert other.get_markersize() == found["b from a"].get_markersize()
+        assert [panel.xaxis.get_major_formatter()(2.0), *panel.get_xticks()] == ["2", 4, 2, 1]
+        assert not panel.get_xticks(minor=True).size
         markers = [found[f"{name} from its limit"].get_marker() for name in "ab"]
         colors = [found[f"{name} from its limit"].get_color() for name in "ab"]
         assert len(set(markers)) == len(set(colors)) == 2
@@ -200,34 +221,130 @@ def test_the_figures_hold_the_measured_numbers(
         assert found["b from a"].get_color() == second.axes[0].lines[1].get_color()
         np.testing.assert_allclose(data_of(found["a"])[1], [0.002, 0.002, 0.001])  # medians
         assert panel.get_xlim() == (0, pytest.approx(0.012))
+        band = panel.collections[-1].get_paths()[0].vertices
+        np.testing.assert_allclose(np.unique(np.asarray(band)[:, 1]), [0.001, 0.003])  # the noise
     tolerance = demonstrated.lines[-1]
     np.testing.assert_allclose(data_of(tolerance)[1], 4.0)  # 2e-3 of 2 m, in [mm]
     assert len(random.lines) == len(demonstrated.lines) - 1
     assert all(len(figure.legends) == 1 for figure in figures.values())
+    assert all(len({axes.get_ylim() for axes in each.axes}) == 1 for each in figures.values())
+    assert first.axes[0].yaxis.get_major_formatter()(0.5) == "50%"
 
 
 def test_each_of_many_engines_has_marks_and_a_colour_of_its_own(
-    parity: Parity, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+    parity: Parity, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """There are five marks and eight colours; engine after engine begins anew with them."""
     one, names = parity.open_loop[0], "abcdefg"
     tips = {name: (k + 1) * one.tips["b"] for k, name in enumerate(names)}
-    figures: list[Figure] = []
-
-    def kept(*_: object) -> AbstractContextManager[Figure]:
-        figures.append(Figure())
-        return nullcontext(figures[-1])
-
-    monkeypatch.setattr(plots, "drawn", kept)
-    plots.draw(replace(parity, open_loop=[replace(one, tips=tips)]), tmp_path)
-    (panel,) = figures[1].axes
-    found = {str(line.get_label()): line for line in panel.lines}
+    whole = replace(parity, open_loop=[replace(one, tips=tips)])
+    _, second, third = figures_of(whole, monkeypatch).values()
+    found = {str(line.get_label()): line for line in second.axes[0].lines}
     marks = [found[f"{name} from its limit"].get_marker() for name in names]
     assert len(set(marks)) == 5
     assert marks[5:] == marks[:2]
     assert [found[f"{name} from a"].get_marker() for name in names[1:]] == marks[1:]
     colors = [found[f"{name} from its limit"].get_color() for name in names]
     assert len(set(colors)) == len(names)
-    (panel,) = figures[2].axes
-    found = {str(line.get_label()): line for line in panel.lines}
+    found = {str(line.get_label()): line for line in third.axes[0].lines}
     assert [found[f"{name} from a"].get_color() for name in names[1:]] == colors[1:]
+
+
+class Linear:
+    """A tip at (sum of commands times time, error per step times step, 0), in [m]."""
+
+    closed: ClassVar[list[int]] = []
+    ideal, capabilities = True, frozenset[str]()
+
+    def __init__(self, off: float, robot: Robot, num: int) -> None:
+        self._h, self._x, self._y = robot.time_step, np.zeros(num), off * robot.time_step
+
+    def step(self, command: Array, substeps: int = 1) -> None:
+        self._x = self._x + command.sum(axis=1) * substeps * self._h
+
+    def state(self) -> SimpleNamespace:
+        tip = np.stack([self._x, np.full_like(self._x, self._y), 0 * self._x], axis=1)
+        return SimpleNamespace(tip_position=tip)
+
+    def close(self) -> None:
+        self.closed.append(1)
+
+
+def test_runs_of_known_motions_find_their_errors_and_steps() -> None:
+    """Errors are 5 m/s and 2 m/s times the step; a disturbance is a millionth of the range."""
+    robot, h = load_robot("planar-single"), load_robot("planar-single").time_step
+    make: dict[str, Any] = {name: partial(Linear, off) for name, off in (("a", 5.0), ("b", 2.0))}
+    assert accurate_step(robot, make["a"], 0.01) == pytest.approx(0.01 / 5)
+    values = random_commands(robot, 200, seed=3, steps=30).values
+    share, changes = values / robot.full_commands, (np.diff(values, axis=1) != 0).all(axis=(0, 2))
+    assert 0 <= share.min() < 0.02 < 0.98 < share.max() <= 1
+    assert np.flatnonzero(changes).tolist() == [9, 19]
+    assert random_commands(robot, 2, seed=3, steps=25).values.shape == (2, 25, 4)
+    runs, made = Commands("random", values, np.array([12, *[30] * 199])), []
+    Linear.closed.clear()
+    switched: Any = {"b": {"b:off=no": partial(Linear, 3.0)}}
+    found = open_loop(robot, make, runs, made.append, switched)
+    assert len(Linear.closed) == 2 * 4 + 1 + 1 + 2
+    assert sum(made) == 200 * 30 * (2 * 15 + 1 + 1)
+    np.testing.assert_allclose(found.time_steps, h / np.array([1, 2, 4, 8]))
+    np.testing.assert_allclose(found.time, h * np.arange(1, 31))
+    np.testing.assert_allclose(found.errors("a"), 5 * found.time_steps)
+    np.testing.assert_allclose(found.mean_distance("b"), 3 * found.time_steps)
+    assert found.accurate_step("b", 0.01) == pytest.approx(0.01 / 2)
+    np.testing.assert_allclose(found.switches["b:off=no"][:12], 1 * h)
+    path = np.cumsum(values.sum(axis=2).T * h, axis=0)
+    np.testing.assert_allclose(found.tips["a"][3, :, 1:, 0], path[:, 1:])
+    ended = np.argwhere(np.isnan(found.tips["a"][..., 0]).all(axis=0))
+    assert ended.tolist() == [[step, 0] for step in range(12, 30)]
+    spread = 1e-6 * np.linalg.norm(robot.full_commands) * h  # of the first step's sum
+    assert np.sqrt(np.mean(found.noise[0] ** 2)) == pytest.approx(spread, rel=0.2)
+    assert found.ideal == {"a", "b"}
+
+
+def test_a_difference_is_measured_in_its_unit_and_its_place_is_named() -> None:
+    """One entry of each part of the equation is changed at one of three states."""
+    robot = load_robot("planar-single")
+    simulation, states = MujocoSimulation(robot, 3), random_states(robot, 3, seed=1)
+    simulation.set_snapshot(states)
+    right = simulation.dynamics()
+    wrong = copy.deepcopy(right)
+    mass = right.mass_matrix[2]
+    wrong.mass_matrix[2, 7, 9] += 3e-4 * np.sqrt(mass[7, 7] * mass[9, 9])
+    wrong.bias_force[1, 20] -= 1e-3 * np.abs(right.bias_force[1]).max()
+    wrong.passive_force[0, 6] += 2e-3 * np.abs(right.passive_force[0]).max()
+    wrong.cable_length[1, 3] -= 5e-3
+    wrong.cable_jacobian[0, 1, 12] += 4e-3 * np.abs(right.cable_jacobian[0, :, 12]).max()
+    wrong.tip_jacobian[1, 2, 11] += 1.0
+    checks = {check.name: check for check in compare(robot, wrong, right, "b - a")}
+    names = coordinate_names(robot)
+    for name, value, where in (
+        ("mass matrix", 3e-4, "slide_1, slide_3"),
+        ("bias force", 1e-3, names[20]),
+        ("passive force", 2e-3, "slide_0"),
+        ("cable length", 5e-3, "cable_3"),
+        ("cable Jacobian", 4e-3, f"cable_1, {names[12]}"),
+    ):
+        assert checks[name].value == pytest.approx(value), name
+        assert (checks[name].where, checks[name].pair) == (where, "b - a")
+    assert checks["generalized tip Jacobian"].where == f"z, {names[11]}"
+    assert checks["cable length"].tolerance == pytest.approx(1e-9)
+    assert {each.tolerance for name, each in checks.items() if name != "cable length"} == {1e-10}
+    wrong.cable_length[0, 2] = np.nan
+    (_, _, _, _, length, _) = compare(robot, wrong, right, "b - a")
+    assert (length.value, length.where) == (np.inf, "cable_2")
+    assert not any(check.value or check.where for check in compare(robot, right, right, "a - a"))
+
+
+def test_single_precision_has_wider_tolerances() -> None:
+    robot = load_robot("planar-single")
+
+    class Single(MujocoSimulation):
+        capabilities = MujocoSimulation.capabilities | {"single_precision"}
+
+    for near, kinds in (((1e-10, 1e-4), (MujocoSimulation, Single)), ((1e-4,) * 2, (Single,) * 2)):
+        checks = one_state(robot, dict(zip("ab", kinds, strict=True)), num=2)
+        pairs = {"a - closed form": near[0], "b - closed form": near[1], "b - a": 1e-4}
+        for check in checks:
+            wide, length = pairs[check.pair], check.name == "cable length"
+            expected = {1e-4: 3e-6, 1e-10: 1e-9}[wide] if length else wide
+            assert check.tolerance == pytest.approx(expected)
