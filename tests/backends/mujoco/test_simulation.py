@@ -207,8 +207,8 @@ def test_a_few_copies_are_stepped_by_one_thread(
     paper: Robot, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr("backends.mujoco.simulation.processors", lambda: 3)
-    threads = [MujocoSimulation(paper, num).batch.nthread for num in (7, 8)]
-    assert threads == [1, 3]
+    threads = [MujocoSimulation(paper, num).batch.nthread for num in (7, 8, 9)]
+    assert threads == [1, 3, 3]
     assert MujocoSimulation(paper, 8, threads=2).batch.nthread == 2
 
 
