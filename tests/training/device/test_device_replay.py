@@ -142,3 +142,29 @@ def test_a_run_alone_draws_the_same() -> None:
     first, second = both.sample(64, Streams([1, 2], CPU)), alone.sample(64, Streams([2], CPU))
     for ours, theirs in zip(first, second, strict=True):
         assert torch.equal(ours[1:], theirs)
+
+
+def test_the_memory_that_is_told_is_that_of_the_rows() -> None:
+    shape, sizes = (2, 3, 50), (5, 4)
+    empty = [Replay(1, *sizes, DISCOUNT, 2) for _ in range(2)]
+    replay = DeviceReplay(shape, sizes, LONGEST, DISCOUNT, 2, empty, CPU)
+    rows = [x for x in replay.tensors.values() if x.shape[:1] == (50,)]
+    assert sum(x.nbytes for x in rows) == DeviceReplay.memory(shape, sizes)
+
+
+def test_rare_transitions_fill_a_batch() -> None:
+    """Where all tries of a place of the batch miss, another one's transition stands in. Of 600 rows
+    two begin one, so that 8 tries miss nearly always."""
+    replay = _device(200)
+    for step in range(150):
+        last = torch.full((RUNS, COPIES), step == 2)
+        seen = torch.full((RUNS, COPIES, 1), float(step))
+        dropped = last & (torch.arange(COPIES) > 0)
+        age = replay.tensors["age"]
+        replay.write(Step(seen, seen, seen, last, ~last & last, dropped))
+        replay.finish(torch.ones(RUNS, COPIES))
+        age.clamp_(max=LONGEST - 1)
+    assert replay.tensors["count"].tolist() == [2, 2]
+    batch = replay.sample(400, Streams([1, 2], CPU))
+    for run in range(RUNS):
+        assert set(batch.observation[run, :, 0].tolist()) == {0.0, 1.0}

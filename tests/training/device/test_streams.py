@@ -77,3 +77,36 @@ def test_numbers_that_are_found_together_are_the_same() -> None:
 def test_keys_differ(purpose: int) -> None:
     found = keys(range(1000), purpose)
     assert len({*found, *keys(range(1000), 1 - purpose)}) == 2000
+
+
+def splitmix64(key: int, num: int) -> list[int]:
+    """Return numbers as Steele, Lea and Flood 2014 print it (fig. 16), in whole numbers."""
+    whole, found = 2**64, []
+    for n in range(1, num + 1):
+        z = (key + n * 0x9E3779B97F4A7C15) % whole
+        z = (z ^ (z >> 30)) * 0xBF58476D1CE4E5B9 % whole
+        z = (z ^ (z >> 27)) * 0x94D049BB133111EB % whole
+        found.append(z ^ (z >> 31))
+    return found
+
+
+def test_numbers_follow_from_the_bits_for_keys_of_any_size() -> None:
+    """The highest 23 digits make a number from 0 to 1, in the middle of its step; all but the
+    lowest one make a whole number."""
+    several = [0, 1, 2**63 - 1, 2**63, 2**64 - 1]
+    bits = np.array([splitmix64(key, 12) for key in several], dtype=np.uint64)
+    streams, like = Streams(several, CPU), torch.zeros(5, 2, 2)
+    expected = ((bits >> np.uint64(41)) + 0.5) / 2**23
+    np.testing.assert_allclose(streams.uniform(like).flatten(1), expected[:, :4], rtol=1e-6)
+    normal = stats.norm.ppf(expected[:, 4:8])
+    np.testing.assert_allclose(streams.normal(like).flatten(1), normal, rtol=1e-3, atol=1e-5)
+    assert streams.below(1000, 1).tolist() == ((bits[:, 8:9] >> np.uint64(1)) % 1000).tolist()
+    limits = torch.tensor([[1], [2], [3], [50], [2**40]])
+    drawn = (bits[:, 9:10] >> np.uint64(1)) % limits.numpy().astype(np.uint64)
+    assert streams.below(limits, 1).tolist() == drawn.tolist()
+    assert int(streams.drawn) == 10
+    order = bits[:, 10:].astype(np.int64).argsort(axis=1)
+    assert streams.subset(2, 2).tolist() == order.tolist()
+    for purpose in (0, 3):
+        numbers = [splitmix64(seed % 2**64, purpose + 1)[-1] for seed in (-1, 5)]
+        assert keys([-1, 5], purpose) == numbers
