@@ -289,6 +289,19 @@ def test_clone_learns_a_known_policy(small_robot: Robot) -> None:
     assert not any(p.requires_grad for p in clone.actor.parameters())
 
 
+@pytest.mark.parametrize(("features", "more"), [("state", 0), ("state+error", 3)])
+def test_networks_see_the_way_to_the_target_where_they_are_asked_to(
+    make: Make, small_robot: Robot, features: str, more: int
+) -> None:
+    cloning = Cloning.model_validate({"features": features, "hidden": (8,), "symmetry": True})
+    clone = BehaviourCloning(small_robot, cloning, torch.Generator()).actor
+    learners = make(TD3, features=features, symmetry=True).actor, clone
+    for actor in learners:
+        assert actor.encoder.size == observation_size(small_robot) + more
+        assert actor.mirror_symmetry is not None
+    assert make(TD3, features=features).actor.mirror_symmetry is None
+
+
 def test_all_images_of_a_demonstration_are_shown_as_one() -> None:
     """So a clone with mirror symmetry learns the same from each of them."""
     robot, random = load_robot("paper"), np.random.default_rng(0)
