@@ -145,8 +145,9 @@ class Copy:
 
     def tests(self, mutant: Mutant) -> tuple[list[str], int]:
         """Return tests that run the changed line, or, if it runs at import, compiled or in another
-        process, that run or name the file, or all; first from files that name it, then from its
-        room, by time. The second value is how many there would be without a budget."""
+        process, that run or name the file, and those of its room, or all; first from files that
+        name it, then from its room, by time. The second value is how many there would be without a
+        budget."""
         lines = self._lines.get(mutant.file, {})
         # In the first line, Numba runs what it makes of a kernel in the test that compiles it.
         bodies = (tests for line, tests in lines.items() if line != "1")
@@ -160,11 +161,15 @@ class Copy:
         def named(test: str) -> bool:
             return any(name in texts[_file_of(test)] for name in names)
 
-        reached = exact or set().union(filter(named, self._seconds), *every) or set(self._seconds)
+        def away(test: str) -> bool:
+            return not test.startswith(f"tests/{self._package}/")
+
+        # What is set at import, as a number of a class, is read without running any line.
+        some = [test for test in self._seconds if named(test) or not away(test)]
+        reached = exact or set(some).union(*every) or set(self._seconds)
 
         def place(test: str) -> tuple[bool, bool, float]:
-            away = not test.startswith(f"tests/{self._package}")
-            return not named(test), away, self._seconds.get(test, 0.0)
+            return not named(test), away(test), self._seconds.get(test, 0.0)
 
         total, chosen = 0.0, []
         for test in sorted(reached, key=place):
