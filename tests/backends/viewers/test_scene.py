@@ -293,6 +293,8 @@ def test_controls_have_the_ranges_of_the_session(paper: Robot, server: Any) -> N
         assert (pull.min, pull.max, pull.value) == (0, 5, 0)
         assert pull.step == pytest.approx(5 / 200)
     assert (controls._episode.min, controls._episode.max, controls._episode.value) == (1, 3, 1)
+    assert controls._handle.disable_rotations
+    assert 0.05 * 2.4 < controls._handle.scale < 0.15 * 2.4
     assert (controls._seed.min, controls._seed.step, controls._seed.value) == (0, 1, 0)
     for name, slider in {**controls._plant, **controls._noise}.items():
         number = {**session.numbers, **session.disturbing.numbers}[name]
