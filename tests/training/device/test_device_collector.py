@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from copy import deepcopy
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -20,6 +21,7 @@ from cdcsr.tasks.catalogue import make_task
 from cdcsr.tasks.observation import observation_size, observe
 from cdcsr.tasks.spaces import make_space
 from cdcsr.tasks.starts import Starts
+from tests.support.tiny import tiny_device_run
 from training.config.learner import Practising
 from training.device.beginnings import draw_states
 from training.device.collector import POOL, DeviceCollector, Work
@@ -32,6 +34,8 @@ from training.measure.evaluation import evaluate
 from training.networks.actor import Actor
 from training.networks.mirror_symmetry import MirrorSymmetry
 from training.policy import load_policy, shipped_policies
+from training.run.device_parts import make_parts
+from training.run.setup import Setup
 
 PAPER, CPU = load_robot("paper"), torch.device("cpu")
 RUNS, COPIES, ROWS = 2, 3, 400
@@ -232,3 +236,18 @@ def test_a_trial_measures_what_an_evaluation_does(task: str, start: str) -> None
         assert outcome.success[0].sum() > outcome.success[1].sum() or task != "reach"
     env.close()
     trial.close()
+
+
+def test_a_batch_can_be_drawn_after_the_longest_episode(
+    tmp_path: Path, demonstrations: Path
+) -> None:
+    """And after the step that ends it; at once where there are demonstrations enough."""
+    for number, algorithm in enumerate(("td3", "td3wd")):
+        config = tiny_device_run(tmp_path / algorithm, demonstrations, algorithm)
+        parts = make_parts([Setup(config)], CPU)
+        longest, ready = parts.learner.collector.longest, []
+        for steps in (0, longest + 1, longest + 2):
+            parts.learner.collector.resume(steps)
+            ready.append(parts.learner.ready)
+        assert ready == [bool(number), bool(number), True]
+        parts.close()

@@ -103,8 +103,11 @@ def test_imitation_is_that_of_the_processor() -> None:
     usual = Actor(robot, False, learner.hidden, "tanh")
     layers = side_by_side([stacked_actor(usual)], CPU)
     shown = bc.pairs(usual, seen, command)
-    bc.imitate(usual, learner, seen, command, generator, lambda *_: None)
-    imitate(layers, torch.tanh, learner, shown, [0], 3, lambda *_: None)
+    told: list[list[float]] = [[], []]
+    bc.imitate(usual, learner, seen, command, generator, lambda *given: told[0].extend(given))
+    imitate(layers, torch.tanh, learner, shown, [0], 3, lambda *given: told[1].extend(given))
+    assert told[1] == pytest.approx(told[0], rel=1e-3)
+    assert told[1][0] == 100
     for ours, theirs in zip(parameters(layers), parameters(stacked_actor(usual)), strict=True):
         torch.testing.assert_close(ours[0], theirs, rtol=1e-3, atol=1e-5)
 
