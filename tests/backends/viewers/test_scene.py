@@ -128,6 +128,9 @@ def test_spaces_are_drawn_where_their_targets_are(paper: Robot, tmp_path: Any) -
         np.sort(sides, axis=1) / sides.min(), [[1, 1, np.sqrt(2)]] * len(corners), rtol=1e-3
     )
     np.testing.assert_allclose(np.ptp(vertices.reshape(-1, 3), axis=0), (0.4, 0.02, 0.4), atol=1e-6)
+    longest = sides.argmax(axis=1)  # the two triangles of a square have their diagonal in common
+    ends = [{tuple(c[k]), tuple(c[k - 1])} for c, k in zip(corners, longest, strict=True)]
+    assert ends[::2] == ends[1::2]
 
 
 def test_flat_and_other_spaces_are_drawn_thin_and_as_points(paper: Robot) -> None:
@@ -180,9 +183,6 @@ def test_a_scene_has_a_title_below_and_lines_of_the_cables_size(paper: Robot) ->
     assert asked["cables"][2]["thickness"] == pytest.approx(2 * thin)
     assert 2 * thin < asked["trail"][2]["thickness"] < 5 * thin
     assert asked["target"][1][1] == pytest.approx(0.018)
-    assert asked["space"][0] == "add_box"
-    links = [args for what, args, _ in scene.asked if what == "add_batched_meshes_trimesh"]
-    assert sum(len(args[2]) for args in links) == paper.num_links
 
 
 def test_a_page_draws_each_moment_with_its_trail_and_its_slack(
@@ -278,7 +278,7 @@ def test_numbers_and_plots_are_in_their_units(paper: Robot, server: Any) -> None
     np.testing.assert_allclose([each[-1] for each in tension[1:]], states[0].cable_tension[0])
     turn = 2e3 * np.arccos(states[0].base_quaternion[0, 0])
     shown = [*1e3 * states[0].base_position[0], turn]
-    np.testing.assert_allclose([each[-1] for each in base[1:]], shown, rtol=1e-3)
+    np.testing.assert_allclose([each[-1] for each in base[1:]], shown, rtol=1e-5)
     assert turn > 0.01
     session.close()
 

@@ -65,7 +65,12 @@ def test_ranges_have_the_size_and_the_pace_of_the_robot() -> None:
         session.disturbing.set_noise("base_noise", 200.0)
     with pytest.raises(CdcsrError, match="within 5 m of zero"):
         session.move_target(np.array([0.0, 0.0, 5.1]))
+    assert session.disturbing.force == session.disturbing.strongest / 2
+    session.disturbing.push("+x")
+    assert session.disturbing.hold == pytest.approx(0.05 * pace / bench.time_step, abs=0.5)
     session.close()
+    with pytest.raises(CdcsrError, match="closed"):
+        session.simulations[0].state()
 
 
 def test_time_passes_only_while_playing_and_as_fast_as_asked(session: Session) -> None:
@@ -277,8 +282,10 @@ def test_numbers_begin_where_they_change_nothing_and_move_in_whole_steps(
         steps = np.array([number.start - number.low, number.high - number.low]) / number.step
         np.testing.assert_allclose(steps, np.round(steps), atol=1e-9)
         assert 20 <= steps[1] <= 100
+        if factor:
+            assert (number.low < 0.3, number.high) == (True, 4)  # from hardly any to four times
         if "share" in number.title:
-            assert number.high <= 1
+            assert number.high in (0.5, 1)
         if "added" not in number.title:
             assert number.low >= 0
         assert number.scale == (1e-3 if "[mm]" in number.title else 1)

@@ -305,3 +305,13 @@ def test_a_page_that_was_asleep_loses_time_and_a_refusal_is_a_note(
     np.testing.assert_array_equal(target, session.target)
     assert view.num_pages == 0
     view.close()
+
+
+def test_numbers_from_a_page_must_be_whole_ones() -> None:
+    from backends.viewers.controls import _whole
+
+    for number in (-3.0, 0.0, 1.0, 2.0, 2.0**53 - 1):
+        assert _whole(number) == number
+    for number in (0.5, -1.5, math.nan, math.inf, 2.0**53, -(2.0**53)):
+        with pytest.raises(CdcsrError, match="whole number is needed"):
+            _whole(number)
