@@ -302,7 +302,7 @@ def test_controls_have_the_ranges_of_the_session(paper: Robot, server: Any) -> N
         assert found == (number.low, number.high, number.step, number.start)
     plots: list[Any] = controls._plots
     series = [plot.series[1:] for plot in plots]
-    assert [len(each) for each in series] == [1, 8, 4]
+    assert [len(each) for each in series] == [len(plot.data) - 1 for plot in plots] == [1, 8, 4]
     assert [line["stroke"] for line in series[1]] == list(_COLORS)
     assert [line["label"] for line in series[1]] == [f"cable {n}" for n in range(1, 9)]
     assert [bool(plot.legend["show"]) for plot in plots] == [True, False, True]

@@ -2,15 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator
 
 import numpy as np
 import pytest
 
 from backends.contract_suite.states import running
-from backends.viewers.disturbing import NOISES, ShownNumber
+from backends.viewers.disturbing import DIRECTIONS
 from backends.viewers.driving import HAND, RECORDING, Driving, Shown
-from backends.viewers.session import PLANT, Session
+from backends.viewers.session import Session
 from cdcsr.envs.disturbances import Channel, Disturbances
 from cdcsr.envs.gym_env import TaskVectorEnv
 from cdcsr.errors import CdcsrError, Diverged
@@ -137,6 +137,7 @@ def test_the_plant_changes_in_all_engines(paper: Robot, session: Session) -> Non
     assert session.views()[0].state.cable_travel[0, 0] == 0
     session.step()
     assert session.views()[0].state.cable_travel[0, 0] < 0
+    session.new_target(2**63 - 1)
     session.set_plant("rest_length_offset", 4.0)
     assert session.steps == 0
     for view in session.views():
@@ -226,10 +227,11 @@ class Watching(Still):
     ("call", "message"),
     [
         (lambda s: s.driving.pull(8, 0.0), "no cable 9; there are 8"),
-        (lambda s: s.driving.pull(0, -5.1), "from -5 m to 0"),
+        (lambda s: s.driving.pull(0, -5.1), "cable 1 lies from -5 m to 0"),
         (lambda s: s.driving.pull(0, np.nan), "from -5 m to 0"),
         (lambda s: s.drive("jacobi"), "Did you mean 'jacobian'"),
         (lambda s: s.new_target(-1), "from 0 on"),
+        (lambda s: s.new_target(2**64), "from 0 on; found 18446744073709551616"),
         (lambda s: s.move_target(np.array([0, np.nan, 0])), "finite"),
         (lambda s: s.move_target(np.array([0, 0, 1e9])), "within 100 m"),
         (lambda s: setattr(s, "speed", np.inf), "from 0.01 to 4"),
@@ -263,32 +265,17 @@ def test_divergence_stops_the_session_at_its_start(
         raise Diverged("mujoco", 0, 0.1, "too fast")
 
     monkeypatch.setattr(session.simulations[1], "step", diverge)
-    session.advance(0.1)
+    assert session.advance(0.1)  # so that it is shown
     assert not session.playing
     assert "diverged" in session.note
     assert session.steps == 0
 
 
-@pytest.mark.parametrize("numbers", [PLANT, NOISES])
-def test_numbers_begin_where_they_change_nothing_and_move_in_whole_steps(
-    numbers: Mapping[str, ShownNumber],
-) -> None:
-    """Factors begin at 1 and everything else at 0; factors and amounts are not negative, and
-    shares at most 1."""
-    for number in numbers.values():
-        factor = number.title.endswith("factor")
-        assert number.start == (1 if factor else 0)
-        assert number.low <= number.start <= number.high
-        steps = np.array([number.start - number.low, number.high - number.low]) / number.step
-        np.testing.assert_allclose(steps, np.round(steps), atol=1e-9)
-        assert 20 <= steps[1] <= 100
-        if factor:
-            assert (number.low < 0.3, number.high) == (True, 4)  # from hardly any to four times
-        if "share" in number.title:
-            assert number.high in (0.5, 1)
-        if "added" not in number.title:
-            assert number.low >= 0
-        assert number.scale == (1e-3 if "[mm]" in number.title else 1)
+def test_a_push_goes_where_its_name_says() -> None:
+    for name, direction in DIRECTIONS.items():
+        expected = np.zeros(3)
+        expected["xyz".index(name[1])] = 1 if name[0] == "+" else -1
+        assert direction == tuple(expected)
 
 
 def test_failures_are_walked_through_in_a_circle(paper: Robot) -> None:
@@ -337,6 +324,12 @@ def test_a_command_is_held_for_the_rest_of_its_action(paper: Robot) -> None:
         for step, row, left in ((5, 0, 4), (8, 0, 1), (9, 1, 4), (15, 2, 2), (40, 2, 1)):
             assert driving.next_command(step, target, quiet) == left
             np.testing.assert_array_equal(driving.arriving, recorded[row])
+        noise = []
+        for step in (9, 12, 13):  # drawn once for each action
+            driving.next_command(step, target, random)
+            noise.append(driving.arriving - recorded[(step - 5) // 4])
+        np.testing.assert_allclose(noise[1], noise[0])
+        assert np.abs(noise[2] - noise[1]).max() > 0.01
         driving.choose("still")
         driving.begin(simulation, 3)
         skip = driver.frame_skip

@@ -14,7 +14,8 @@ from typing import Any, ClassVar
 import numpy as np
 import pytest
 
-from backends.viewers.session import Session
+from backends.viewers.disturbing import NOISES, ShownNumber
+from backends.viewers.session import PLANT, Session
 from cdcsr.errors import CdcsrError
 from cdcsr.robot.description import Robot
 from cdcsr.tasks.spaces import anchor
@@ -235,6 +236,7 @@ def test_it_listens_to_this_machine_only(url: str) -> None:
     ("host", "port", "message"),
     [
         ("127.0.0.1", 65536, "from 0 to 65535; found 65536"),
+        ("127.0.0.1", 70000, "from 0 to 65535; found 70000"),
         ("127.0.0.1", -1, "from 0 to 65535; found -1"),
         ("192.0.2.1", 8080, "Cannot listen at 192.0.2.1"),  # an address of nobody (RFC 5737)
         ("no such host", 8080, "Cannot listen at no such host"),
@@ -304,6 +306,10 @@ def test_a_page_that_was_asleep_loses_time_and_a_refusal_is_a_note(
     np.testing.assert_array_equal(trail, [moment.tip[0] for moment in session.history])
     np.testing.assert_array_equal(target, session.target)
     assert view.num_pages == 0
+    slept: list[float] = []
+    monkeypatch.setattr(room, "time", SimpleNamespace(perf_counter=lambda: 7.0, sleep=slept.append))
+    view.run(lambda: len(slept) == 3)
+    assert slept == pytest.approx([1 / 30] * 3)
     view.close()
 
 
@@ -315,3 +321,24 @@ def test_numbers_from_a_page_must_be_whole_ones() -> None:
     for number in (0.5, -1.5, math.nan, math.inf, 2.0**53, -(2.0**53)):
         with pytest.raises(CdcsrError, match="whole number is needed"):
             _whole(number)
+
+
+@pytest.mark.parametrize("numbers", [PLANT, NOISES])
+def test_numbers_begin_where_they_change_nothing_and_move_in_whole_steps(
+    numbers: Mapping[str, ShownNumber],
+) -> None:
+    """Factors begin at 1 and everything else at 0; factors and amounts are not negative, and
+    shares at most 1."""
+    for number in numbers.values():
+        factor = number.title.endswith("factor")
+        assert number.start == (1 if factor else 0)
+        assert number.low <= number.start <= number.high
+        steps = np.array([number.start - number.low, number.high - number.low]) / number.step
+        np.testing.assert_allclose(steps, np.round(steps), atol=1e-9)
+        assert 20 <= steps[1] <= 100
+        if factor:
+            assert (number.low < 0.3, number.high) == (True, 4)  # from hardly any to four times
+        if "share" in number.title:
+            assert number.high in (0.5, 1)
+        assert number.low == -number.high if "added" in number.title else number.low >= 0
+        assert number.scale == (1e-3 if "[mm]" in number.title else 1)
