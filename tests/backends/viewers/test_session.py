@@ -296,6 +296,7 @@ def test_failures_are_walked_through_in_a_circle(paper: Robot) -> None:
     assert driving.name == "still"
     driving.choose("jacobian")
     driving.show(1)
+    assert driving.next_failure() == 2
     assert driving.name == "jacobian"  # who drives goes on
     driving.pull(7, -5.0)
     driving.pull(0, 0.0)

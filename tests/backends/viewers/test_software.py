@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from pathlib import Path
 from typing import Any
 
@@ -18,6 +19,7 @@ from backends.viewers.cable_paths import CablePaths
 from backends.viewers.software import Renderer, _turn_to
 from cdcsr.robot.colors import TARGET
 from cdcsr.robot.description import Robot, load_robot, shipped_robots
+from cdcsr.robot.meshes import link_parts, visual_meshes
 from cdcsr.robot.poses import link_poses, tip_at_start
 from cdcsr.robot.routing import cable_lengths, routing
 from cdcsr.simulation.cameras import CAMERAS
@@ -88,6 +90,9 @@ def test_a_picture_holds_arms_that_hang_and_bases_that_are_wide() -> None:
         assert np.ptp(rows) > 0.2 * 240
         assert (plain[:, [0, -1]] == plain[0, 0]).all()
         assert (plain[[0, -1]] == plain[0, 0]).all()
+        drawn = (plain != plain[0, 0]).any(axis=2)
+        wide, high = (np.ptp(np.flatnonzero(drawn.any(axis=k))) for k in (0, 1))
+        assert max(wide / 180, high / 240) > 0.8
 
 
 @pytest.mark.parametrize("camera", CAMERAS)
@@ -126,7 +131,31 @@ def test_a_point_is_seen_where_a_pinhole_camera_has_it(camera: str, paper: Robot
             share = np.percentile(drawn[ball], [0, 60], axis=0) / TARGET[:3]
             np.testing.assert_allclose(share[0], 0.55, atol=0.03)  # of its colour, in the shade
             assert (np.abs(share[1] - 0.85) < 0.15).all()
+    behind = renderer.draw(position, camera, center + 3 * gaze, (high, wide), (center, 0.4))
+    assert (behind != behind[0, 0]).any()
     renderer.close()
+
+
+def test_a_mesh_of_several_colours_is_drawn_once_and_in_its_colours(
+    paper: Robot, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    drawn: Counter[tuple[int, ...]] = Counter()
+    inner = pybullet.createVisualShape
+
+    def make(*given: Any, **more: Any) -> int:
+        color = tuple(np.round(np.multiply(more["rgbaColor"], 255)).astype(int).tolist())
+        drawn[color] += len(more["vertices"]) // 3
+        return inner(*given, **more)
+
+    monkeypatch.setattr(pybullet, "createVisualShape", make)
+    Renderer(paper).close()
+    expected: Counter[tuple[int, ...]] = Counter()
+    meshes = visual_meshes(paper)
+    for part in ("base", *link_parts(paper)):
+        visual: Any = meshes[part].visual
+        expected.update(map(tuple, visual.face_colors.tolist()))
+    assert len(expected) > 3  # metal, panels and both segments
+    assert {color: drawn[color] for color in expected} == dict(expected)
 
 
 def test_bodies_are_where_mujoco_has_them(paper: Robot, monkeypatch: pytest.MonkeyPatch) -> None:
