@@ -131,7 +131,7 @@ def test_a_point_is_seen_where_a_pinhole_camera_has_it(camera: str, paper: Robot
             share = np.percentile(drawn[ball], [0, 60], axis=0) / TARGET[:3]
             np.testing.assert_allclose(share[0], 0.55, atol=0.03)  # of its colour, in the shade
             assert (np.abs(share[1] - 0.85) < 0.15).all()
-    behind = renderer.draw(position, camera, center + 3 * gaze, (high, wide), (center, 0.4))
+    behind = renderer.draw(position, camera, center + 9 * gaze, (high, wide), (center, 0.4))
     assert (behind != behind[0, 0]).any()
     renderer.close()
 
