@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 from collections.abc import Callable, Iterator
 from dataclasses import replace
 from types import SimpleNamespace
@@ -151,9 +152,7 @@ def test_flat_and_other_spaces_are_drawn_thin_and_as_points(paper: Robot) -> Non
     assert 0.002 < cloud[2]["point_size"] < 0.05  # seen, and hardly on each other
 
 
-class Sampled:
-    """A space of no known kind."""
-
+class Sampled:  # of no known kind
     def __init__(self, inner: Workspace) -> None:
         self._inner = inner
 
@@ -306,7 +305,8 @@ def test_controls_have_the_ranges_of_the_session(paper: Robot, server: Any) -> N
     assert [line["stroke"] for line in series[1]] == list(_COLORS)
     assert [line["label"] for line in series[1]] == [f"cable {n}" for n in range(1, 9)]
     assert [bool(plot.legend["show"]) for plot in plots] == [True, False, True]
-    controls._show_episode(2)
+    event: Any = SimpleNamespace(client=1, target=SimpleNamespace(value=3.0))  # from a page
+    asyncio.run(controls._episode._impl.update_cb[0](event))  # type: ignore[arg-type]
     assert (session.driving.chosen, controls._episode.value) == (2, 3)
     controls._next_target()
     assert (session.seed, controls._seed.value) == (1, 1)

@@ -65,6 +65,8 @@ def test_ranges_have_the_size_and_the_pace_of_the_robot() -> None:
         session.disturbing.set_noise("base_noise", 200.0)
     with pytest.raises(CdcsrError, match="within 5 m of zero"):
         session.move_target(np.array([0.0, 0.0, 5.1]))
+    session.move_target(np.array([-5.0, 0.0, 5.0]))
+    assert session.disturbing.hold == 0
     session.disturbing.set_noise("action_noise", 0.2)  # of a range of 0.25 m
     found = [session.disturbing.channel.command(np.zeros((1, 4))) for _ in range(200)]
     assert np.std(found) == pytest.approx(0.2 * 0.25, rel=0.15)

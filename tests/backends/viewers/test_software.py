@@ -93,6 +93,15 @@ def test_a_picture_holds_arms_that_hang_and_bases_that_are_wide() -> None:
         drawn = (plain != plain[0, 0]).any(axis=2)
         wide, high = (np.ptp(np.flatnonzero(drawn.any(axis=k))) for k in (0, 1))
         assert max(wide / 180, high / 240) > 0.8
+    data = load_robot("planar-single").model_dump()
+    lying = Robot.model_validate(data | {"base": data["base"] | {"quaternion": (0.6, 0, 0.8, 0)}})
+    position = straight(lying).position[0]
+    position[3:7] = lying.base.quaternion
+    renderer = Renderer(lying)
+    drawn = renderer.draw(position, "front", size=(120, 90))
+    renderer.close()
+    columns = np.flatnonzero((drawn != drawn[0, 0]).any(axis=(0, 2)))
+    assert 80 < columns[-1] < 89  # the tip; a panel that comes nearer to the eye is cut
 
 
 @pytest.mark.parametrize("camera", CAMERAS)
