@@ -54,6 +54,7 @@ PACKAGES: dict[str, str] = {
     "backends/parity": "tests/backends/parity",
     "backends/cosserat": "tests/backends/physics/test_rods.py "
     "tests/training/commands/test_validate.py",
+    "backends/warp": "tests/backends/warp -m slow",
     "backends/viewers": "tests/backends/viewers tests/training/commands/test_film.py",
     "training/algorithms": "tests/training/algorithms tests/training/run tests/training/config",
     "training/device": "tests/training/device tests/training/algorithms/test_reference_update.py",
@@ -200,7 +201,7 @@ class Copy:
         before, times = place.read_bytes(), place.stat()
         tests, _ = self.tests(mutant)
         files = sorted(set(map(_file_of, tests)))
-        options = ["-q", "-x", "-p", "no:cacheprovider", *files]
+        options = ["-q", "-x", "-p", "no:cacheprovider", "-m", "slow or not slow", *files]
         cache = self._folder / ".numba"
         if "@compiled" in mutant.code:
             cache = self._machine_code(mutant.file)

@@ -176,9 +176,9 @@ def test_a_snapshot_continues_to_the_bit(paper: Robot) -> None:
 
 def test_what_the_device_cannot_do_is_refused(paper: Robot) -> None:
     one, command = warp(paper), torch.zeros(NUM, paper.num_cables)
-    with pytest.raises(CdcsrError, match=r"command must have the shape \(4, 8\) and be on cpu"):
+    with pytest.raises(CdcsrError, match=r"shape \(4, 8\), be float32 and be on cpu; found"):
         one.step_device(command[:2])
-    with pytest.raises(CdcsrError, match=r"mask must have the shape \(4,\) and be on cpu"):
+    with pytest.raises(CdcsrError, match=r"shape \(4,\), be bool and be on cpu; found"):
         one.reset_device(torch.zeros(NUM, 1, dtype=torch.bool))
     one.set_parameters([1], Parameters(command_delay=2))
     with pytest.raises(CdcsrError, match="step_device delays no commands"):
