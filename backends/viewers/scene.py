@@ -8,9 +8,9 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from backends.viewers.cable_paths import CablePaths
-from cdcsr.robot.colors import CABLE_RADIUS, DEBRIS, TARGET, TARGET_RADIUS, TIP
+from cdcsr.robot.colors import CABLE_RADIUS, DEBRIS, TARGET, TARGET_RADIUS, TIP, link_parts
 from cdcsr.robot.description import Robot
-from cdcsr.robot.meshes import link_parts, visual_meshes
+from cdcsr.robot.meshes import visual_meshes
 from cdcsr.robot.poses import link_poses
 from cdcsr.robot.ruler import ruler
 from cdcsr.simulation.rotations import at_start

@@ -25,9 +25,10 @@ from cdcsr.robot.colors import (
     TARGET_RADIUS,
     TIP,
     TIP_RADIUS,
+    link_parts,
 )
 from cdcsr.robot.description import Robot
-from cdcsr.robot.meshes import link_parts, visual_meshes
+from cdcsr.robot.meshes import visual_meshes
 from cdcsr.robot.poses import link_poses
 from cdcsr.robot.ruler import ruler
 from cdcsr.simulation.cameras import HEIGHT, WIDTH, camera_angles
