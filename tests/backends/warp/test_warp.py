@@ -18,6 +18,7 @@ from backends.contract_suite.states import (
     assert_same,
     commands_of,
     random_parameters,
+    straight,
 )
 from cdcsr.errors import CdcsrError, Diverged
 from cdcsr.robot.description import Robot, load_robot
@@ -190,6 +191,17 @@ def test_what_the_device_cannot_do_is_refused(paper: Robot) -> None:
             make_simulation(paper, "warp:device=cuda:7")
     with pytest.raises(CdcsrError, match="warp has no friction in guides"):
         one.set_parameters(None, Parameters(guide_friction=0.1))
+
+
+def test_an_excess_is_taken_back_with_the_recovery_time(paper: Robot) -> None:
+    """A cable that begins 2 mm too long gives back the share h / recovery time in a step."""
+    one, start = warp(paper), straight(paper, NUM)
+    start.position[:, 7] = -2e-3
+    one.set_snapshot(start)
+    one.step(np.zeros((NUM, paper.num_cables)))
+    left = (one.dynamics().cable_length - routing(paper).rest_length)[:, 0]
+    keep = 1 - paper.time_step / paper.constraint.recovery_time
+    np.testing.assert_allclose(left, keep * 2e-3, rtol=1e-2)
 
 
 def test_a_step_can_end_with_a_restart(paper: Robot) -> None:
