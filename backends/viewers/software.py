@@ -77,6 +77,8 @@ class Renderer:
             at_start(robot, [0, 0, z]) for z in (-robot.top, robot.top + robot.arm_length)
         ]
         self._base_edges = np.ptp(meshes["base"].bounds, axis=0)
+        corners = [at_start(robot, corner) for corner in meshes["base"].vertices]
+        self._corners = np.array([*corners, *self._ends])
 
     def draw(
         self,
@@ -127,10 +129,15 @@ class Renderer:
         """Return the middle of the robot at the start, and the height of the part of the world that
         holds all of it, in [m], for a picture of this width by height."""
         azimuth, (low, high) = np.deg2rad(camera_angles(camera)[0]), self._ends
-        right = np.array([np.cos(azimuth), np.sin(azimuth), 0.0])
+        right, toward_eye = np.array([np.cos(azimuth), np.sin(azimuth), 0.0]), _toward_eye(camera)
         wide = max(abs(right @ (high - low)), np.abs(right) @ self._base_edges) / shape
         tall = (1 + 2 * _MARGIN) * abs(high[2] - low[2])
-        return (low + high) / 2, max(tall, (1 + _MARGIN / 2) * wide)
+        middle = (low + high) / 2
+        corners, upward = self._corners - middle, np.cross(toward_eye, right)
+        beside = np.maximum(np.abs(corners @ right) / shape, np.abs(corners @ upward))
+        # What is nearer to the eye than the middle looks larger.
+        seen = 2 * np.max(beside + np.tan(np.deg2rad(_FIELD_OF_VIEW) / 2) * corners @ toward_eye)
+        return middle, max(tall, (1 + _MARGIN / 2) * wide, (1 + _MARGIN / 8) * seen)
 
     def _shoot(
         self, width: int, height: int, view: list[float], light: list[float], lens: list[float]
@@ -224,13 +231,18 @@ def _coloured(mesh: trimesh.Trimesh, color: tuple[int, ...]) -> trimesh.Trimesh:
 def _look(camera: str, center: Array, span: float) -> tuple[list[float], list[float], float]:
     """Return the view matrix, the direction of the light, which is above and beside the camera, and
     the distance of the eye in [m]."""
-    azimuth, elevation = np.deg2rad(camera_angles(camera))
-    flat = np.array([np.sin(azimuth), -np.cos(azimuth), 0.0])
-    toward_eye = np.cos(elevation) * flat - np.sin(elevation) * np.array([0.0, 0.0, 1.0])
+    toward_eye = _toward_eye(camera)
     distance = span / 2 / np.tan(np.deg2rad(_FIELD_OF_VIEW) / 2)
     view = pybullet.computeViewMatrix(center + distance * toward_eye, center, (0, 0, 1))
     shoulder = np.cross((0.0, 0.0, 1.0), toward_eye)
     return view, list(toward_eye + 0.6 * shoulder + np.array([0.0, 0.0, 0.8])), distance
+
+
+def _toward_eye(camera: str) -> Array:
+    """Return the direction from what a camera looks at to the eye."""
+    azimuth, elevation = np.deg2rad(camera_angles(camera))
+    flat = np.array([np.sin(azimuth), -np.cos(azimuth), 0.0])
+    return np.cos(elevation) * flat - np.sin(elevation) * np.array([0.0, 0.0, 1.0])
 
 
 def _turn_to(direction: Array) -> Array:

@@ -17,7 +17,7 @@ from backends.contract_suite.states import moving, straight
 from backends.mujoco.simulation import MujocoSimulation
 from backends.viewers.cable_paths import CablePaths
 from backends.viewers.software import Renderer, _turn_to
-from cdcsr.robot.colors import TARGET
+from cdcsr.robot.colors import BACKGROUND, TARGET, TIP
 from cdcsr.robot.description import Robot, load_robot, shipped_robots
 from cdcsr.robot.meshes import link_parts, visual_meshes
 from cdcsr.robot.poses import link_poses, tip_at_start
@@ -98,10 +98,13 @@ def test_a_picture_holds_arms_that_hang_and_bases_that_are_wide() -> None:
     position = straight(lying).position[0]
     position[3:7] = lying.base.quaternion
     renderer = Renderer(lying)
-    drawn = renderer.draw(position, "front", size=(120, 90))
+    for camera in CAMERAS:  # a panel comes nearer to the eye, and is seen as far as its end
+        drawn = (renderer.draw(position, camera, size=(120, 90)) != BACKGROUND).any(axis=2)
+        columns = np.flatnonzero(drawn.any(axis=0))
+        assert not drawn[[0, -1]].any()
+        assert columns[-1] < 89
+        assert 0 < columns[0] < 3
     renderer.close()
-    columns = np.flatnonzero((drawn != drawn[0, 0]).any(axis=(0, 2)))
-    assert 80 < columns[-1] < 89  # the tip; a panel that comes nearer to the eye is cut
 
 
 @pytest.mark.parametrize("camera", CAMERAS)
@@ -140,7 +143,8 @@ def test_a_point_is_seen_where_a_pinhole_camera_has_it(camera: str, paper: Robot
             share = np.percentile(drawn[ball], [0, 60], axis=0) / TARGET[:3]
             np.testing.assert_allclose(share[0], 0.55, atol=0.03)  # of its colour, in the shade
             assert (np.abs(share[1] - 0.85) < 0.15).all()
-    behind = renderer.draw(position, camera, center + 9 * gaze, (high, wide), (center, 0.4))
+    far = 4.9 * (2 * paper.top + paper.arm_length)  # so far is drawn
+    behind = renderer.draw(position, camera, center + far * gaze, (4 * high, 4 * wide), focus)
     assert (behind != behind[0, 0]).any()
     renderer.close()
 
@@ -153,7 +157,18 @@ def test_a_mesh_of_several_colours_is_drawn_once_and_in_its_colours(
 
     def make(*given: Any, **more: Any) -> int:
         color = tuple(np.round(np.multiply(more["rgbaColor"], 255)).astype(int).tolist())
-        drawn[color] += len(more["vertices"]) // 3
+        triangles = np.reshape(more["vertices"], (-1, 3, 3))
+        drawn[color] += len(triangles)
+        assert more["indices"] == list(range(3 * len(triangles)))
+        # Each corner is lit as its own triangle is.
+        first, second = np.diff(triangles, axis=1).swapaxes(0, 1)
+        across = np.cross(first, second)
+        across /= np.linalg.norm(across, axis=1, keepdims=True)
+        np.testing.assert_allclose(more["normals"], np.repeat(across, 3, axis=0), atol=1e-6)
+        if color == TIP:  # a ball: it looks round, and is drawn in no time
+            far = np.linalg.norm(triangles.mean(axis=1), axis=1)
+            assert far.min() > 0.98 * np.linalg.norm(triangles, axis=2).max()
+            assert len(far) < 1000
         return inner(*given, **more)
 
     monkeypatch.setattr(pybullet, "createVisualShape", make)
@@ -235,6 +250,37 @@ def test_the_whole_robot_is_seen_with_a_rim(paper: Robot) -> None:
     assert np.abs(coarse - small).mean() < 2
 
 
+def test_a_pixel_is_the_mean_of_four(paper: Robot, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Where no body is, all is background; the eye stands where a view of 25 degrees shows as much
+    as is asked for, and sees no shadows."""
+    seen: list[dict[str, Any]] = []
+    random = np.random.default_rng(0)
+    pixels, mask = random.integers(0, 256, (24, 16, 4)), random.integers(-1, 2, (24, 16))
+
+    def shoot(width: int, height: int, **more: Any) -> tuple[Any, ...]:
+        seen.append(more)
+        assert (width, height) == (16, 24)
+        return width, height, pixels.ravel().tolist(), (), mask.ravel().tolist()
+
+    renderer = Renderer(paper)
+    monkeypatch.setattr(pybullet, "getCameraImage", shoot)
+    focus = np.array([0.3, -0.2, 2.0]), 0.4
+    drawn = renderer.draw(straight(paper).position[0], "front", size=(12, 8), focus=focus)
+    renderer.close()
+    whole = np.where(mask[..., None] < 0, BACKGROUND, pixels[..., :3])
+    expected = whole.reshape(12, 2, 8, 2, 3).mean(axis=(1, 3))
+    np.testing.assert_array_equal(drawn, np.floor(expected))
+    (more,) = seen
+    lens = np.reshape(more["projectionMatrix"], (4, 4))
+    far = 0.2 / np.tan(np.deg2rad(12.5))
+    assert lens[1, 1] == pytest.approx(far / 0.2)
+    assert lens[0, 0] == pytest.approx(far / 0.2 * 12 / 8)
+    view = np.reshape(more["viewMatrix"], (4, 4)).T  # from the front: along y
+    np.testing.assert_allclose(-view[:3, :3].T @ view[:3, 3], (0.3, -0.2 - far, 2.0), atol=1e-6)
+    np.testing.assert_allclose(more["lightDirection"], (0.6, -1.0, 0.8), atol=1e-9)
+    assert more["shadow"] == 0
+
+
 @pytest.mark.parametrize("name", shipped_robots())
 def test_cables_are_drawn_as_long_as_they_are(name: str) -> None:
     robot, random = load_robot(name), np.random.default_rng(0)
@@ -255,11 +301,13 @@ def test_cables_are_drawn_as_long_as_they_are(name: str) -> None:
     np.testing.assert_allclose(drawn - outside, slack, rtol=0.08)  # of four straight lines
 
 
-def test_slack_cables_bow_outward_by_half_a_sine() -> None:
+@pytest.mark.parametrize("name", ["paper", "three-segment"])
+def test_slack_cables_bow_outward_by_half_a_sine(name: str) -> None:
     """Along the straight arm the middle of a piece of length d that is e too long lies 2 / pi
     sqrt(d e) farther from the axis, at the same height; a turned robot is drawn turned."""
-    robot = load_robot("paper")
-    paths, slack = CablePaths(robot), np.array([0.01, 0.0, 0.004, -0.01, 0.02, 0.03, 0.0, 0.001])
+    robot = load_robot(name)
+    some = [0.01, 0.0, 0.004, -0.01, 0.02, 0.03, 0.0, 0.001]
+    paths, slack = CablePaths(robot), np.resize(some, robot.num_cables)
     straight = np.zeros(7 + robot.num_cables + robot.num_hinges)
     straight[3] = 1
     poses = link_poses(robot, straight)
@@ -273,6 +321,8 @@ def test_slack_cables_bow_outward_by_half_a_sine() -> None:
     away = np.linalg.norm(middle[:, :2], axis=1) - np.linalg.norm(mean[:, :2], axis=1)
     np.testing.assert_allclose(away, height, atol=1e-9)
     np.testing.assert_allclose(middle[:, 2], mean[:, 2], atol=1e-9)
+    aside = middle[:, 0] * mean[:, 1] - middle[:, 1] * mean[:, 0]
+    np.testing.assert_allclose(aside, 0, atol=1e-12)
     assert height.max() > 1e-3
     turn, place = Rotation.from_euler("xyz", (0.3, -1.0, 2.0)), np.array([1.0, -2.0, 0.5])
     moved = straight.copy()
