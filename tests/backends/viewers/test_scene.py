@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import asyncio
 from collections.abc import Callable, Iterator
 from dataclasses import replace
 from types import SimpleNamespace
@@ -16,8 +15,6 @@ from trimesh import creation
 
 from backends.contract_suite.states import moving, straight
 from backends.mujoco.simulation import MujocoSimulation
-from backends.viewers.driving import Shown
-from backends.viewers.session import Session
 from cdcsr.robot.colors import CABLE_RADIUS
 from cdcsr.robot.description import Robot, load_robot
 from cdcsr.robot.meshes import visual_meshes
@@ -94,14 +91,18 @@ def test_a_cable_is_blue_when_slack_and_red_by_the_root_of_its_tension(
     paper: Robot, server: Any
 ) -> None:
     """The largest tension is 250 N; a quarter of it is half way from grey to red."""
-    from backends.viewers.scene import LOOSE, PULLED, TAUT, EngineScene
+    from backends.viewers.scene import EngineScene
 
+    loose, taut, pulled = (90, 160, 255), (70, 70, 78), (230, 60, 20)
     scene = EngineScene(server, paper, "one", 0)
     tension = np.array([0, 62.5, 250, 1000, 0, 250, 0, 0.0])
     slack = np.array([0, 0, 0, 0, 1e-4, 1e-4, 4e-5, -1.0])
-    half = (np.array(TAUT) + PULLED) / 2
-    expected = [TAUT, half, PULLED, PULLED, LOOSE, LOOSE, TAUT, TAUT]
+    half = (np.array(taut) + pulled) / 2
+    expected = [taut, half, pulled, pulled, loose, loose, taut, taut]
     np.testing.assert_allclose(scene.cable_colors(tension, slack), expected)
+    bench = load_robot("bench-arm")  # whose cables travel a twentieth as far
+    found = EngineScene(server, bench, "two", 1).cable_colors(np.zeros(8), slack / 20)
+    np.testing.assert_allclose(found[4:], [loose, loose, taut, taut])
 
 
 def test_spaces_are_drawn_where_their_targets_are(paper: Robot, tmp_path: Any) -> None:
@@ -122,6 +123,9 @@ def test_spaces_are_drawn_where_their_targets_are(paper: Robot, tmp_path: Any) -
     ]
     np.testing.assert_array_equal([s[2]["position"] for s in spheres], balls.centers)
     assert all(0 < options["opacity"] < 0.6 for _, _, options in scene.asked)
+    violet = (120, 90, 200)
+    assert box[1][1] == spheres[0][1][2] == spheres[1][1][2] == hull[2]["color"] == violet
+    assert len(mesh[2]["color"]) == 3  # its opacity is told apart
     vertices = mesh[1][1][mesh[1][2].astype(int)]
     corners = hull[1][1][hull[1][2].astype(int)]  # of triangles, two for each square of a cell
     sides = np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=2)
@@ -161,13 +165,14 @@ class Sampled:  # of no known kind
         return self.drawn
 
 
-def test_a_scene_has_a_title_below_and_lines_of_the_cables_size(paper: Robot) -> None:
+@pytest.mark.parametrize("name", ["paper", "bench-arm"])
+def test_a_scene_has_a_title_below_and_lines_of_the_cables_size(name: str) -> None:
     """Lines are as thick as the cylinders of pictures; the title stands below the base."""
     from backends.viewers.scene import EngineScene
 
-    scene = Recorder()
+    scene, robot = Recorder(), load_robot(name)
     server: Any = SimpleNamespace(scene=scene)
-    EngineScene(server, paper, "one", 2, anchor(paper))
+    EngineScene(server, robot, "one", 2, anchor(robot))
     asked = {
         args[0].rpartition("/")[2]: (what, args, options) for what, args, options in scene.asked
     }
@@ -177,11 +182,13 @@ def test_a_scene_has_a_title_below_and_lines_of_the_cables_size(paper: Robot) ->
     assert title[1][1] == "one"
     x, y, below = title[2]["position"]
     assert (x, y) == (0, 0)
-    assert -0.3 * 2.4 < below + paper.top < -0.1 * 2.4
-    thin = ruler(paper).size * CABLE_RADIUS
-    assert asked["cables"][2]["thickness"] == pytest.approx(2 * thin)
-    assert 2 * thin < asked["trail"][2]["thickness"] < 5 * thin
-    assert asked["target"][1][1] == pytest.approx(0.018)
+    assert -0.3 < (below + robot.top) / robot.arm_length < -0.1
+    size = robot.arm_length / 2.4
+    assert ruler(robot).size == pytest.approx(size)
+    assert asked["cables"][2]["thickness"] == pytest.approx(2 * size * CABLE_RADIUS)
+    assert asked["trail"][2]["thickness"] == pytest.approx(3 * size * CABLE_RADIUS)
+    assert asked["target"][1][1] == pytest.approx(0.018 * size)
+    assert (len(asked["trail"][1][2]), len(asked["target"][1][2])) == (3, 3)  # no opacity
 
 
 def test_a_page_draws_each_moment_with_its_trail_and_its_slack(
@@ -201,7 +208,9 @@ def test_a_page_draws_each_moment_with_its_trail_and_its_slack(
         def draw(self, *values: np.ndarray) -> None:
             drawn.append((self.number, [np.array(each) for each in values]))
 
+    looks: list[int] = []
     monkeypatch.setattr(room, "EngineScene", Scene)
+    monkeypatch.setattr(room, "look_at", lambda _, __, last: looks.append(last.number))
     moments, targets = [], [np.array([0.1, 0.0, 2.0]), np.array([0.2, 0.0, 2.0])]
     for n, target in enumerate([targets[0], targets[0], targets[1]]):
         engines = []
@@ -213,6 +222,7 @@ def test_a_page_draws_each_moment_with_its_trail_and_its_slack(
     text = room.page(paper, ["a", "b"], moments, 0.5)
     assert text.lstrip().lower().startswith("<!doctype html>")
     assert [number for number, _ in drawn] == [0, 1] * 3
+    assert looks == [1]  # from the first to the last
     tip = 0.3 + 2.4
     for (number, values), n in zip(drawn, [0, 0, 1, 1, 2, 2], strict=True):
         position, tension, slack, trail, target = values
@@ -246,105 +256,10 @@ def test_the_eye_sees_the_ends_of_all_robots(name: str, server: Any) -> None:
                 angles.append(np.arctan2(across, gaze @ toward))
         assert max(angles) < 0.75
         assert max(angles) > 0.3
-
-
-def test_numbers_and_plots_are_in_their_units(paper: Robot, server: Any) -> None:
-    """Distances are in [mm] and angles in [mrad]; the outcome of an episode is said."""
-    from backends.viewers.controls import Controls
-
-    episodes = [Shown(np.array([0.1, 0.0, 2.5]), success) for success in (True, False)]
-    session = Session(paper, ["mujoco", "pybullet"], anchor(paper), [], episodes)
-    controls = Controls(server, session, lambda do: do())
-    session.driving.pull(0, -4.0)
-    for _ in range(20):
-        session.step()
-    session.driving.chosen, session.note = 1, "a note"
-    controls._show_numbers()
-    states = [simulation.state() for simulation in session.simulations]
-    tips = np.array([state.tip_position[0] for state in states])
-    far, apart = np.linalg.norm(tips - session.target, axis=1), np.linalg.norm(tips[0] - tips[1])
-    lines = controls._text.content.split("  \n")
-    assert lines[0].startswith("0.0500 s, ")
-    assert [line.partition("**")[2] for line in lines[1:3]] == [
-        f"{1e3 * each:.1f} mm** to the target" for each in far
-    ]
-    assert lines[3:] == [f"tips: {1e3 * apart:.2f} mm apart", "episode 2: was missed", "**a note**"]
-    distance, tension, base = controls._plot_values()
-    assert [len(each) for each in (distance, tension, base)] == [1 + 2, 1 + 8, 1 + 4]
-    for time, *_ in (distance, tension, base):
-        np.testing.assert_allclose(time, 0.0025 * np.arange(21))
-    np.testing.assert_allclose([each[-1] for each in distance[1:]], 1e3 * far)
-    np.testing.assert_allclose([each[-1] for each in tension[1:]], states[0].cable_tension[0])
-    turn = 2e3 * np.arccos(states[0].base_quaternion[0, 0])
-    shown = [*1e3 * states[0].base_position[0], turn]
-    np.testing.assert_allclose([each[-1] for each in base[1:]], shown, rtol=1e-5)
-    assert turn > 0.01
-    session.close()
-
-
-def test_controls_have_the_ranges_of_the_session(paper: Robot, server: Any) -> None:
-    """Cables from 0 to their full command; what is set by hand is not set back while it drives."""
-    from backends.viewers.controls import _COLORS, Controls
-
-    session = Session(paper, ["mujoco"], anchor(paper), [], [Shown(np.zeros(3), True)] * 3)
-    controls = Controls(server, session, lambda do: do())
-    for pull in controls._pulls:
-        assert (pull.min, pull.max, pull.value) == (0, 5, 0)
-        assert pull.step == pytest.approx(5 / 200)
-    assert (controls._episode.min, controls._episode.max, controls._episode.value) == (1, 3, 1)
-    assert controls._handle.disable_rotations
-    assert 0.05 * 2.4 < controls._handle.scale < 0.15 * 2.4
-    assert (controls._seed.min, controls._seed.step, controls._seed.value) == (0, 1, 0)
-    for name, slider in {**controls._plant, **controls._noise}.items():
-        number = {**session.numbers, **session.disturbing.numbers}[name]
-        found = slider.min, slider.max, slider.step, slider.value
-        assert found == (number.low, number.high, number.step, number.start)
-    plots: list[Any] = controls._plots
-    series = [plot.series[1:] for plot in plots]
-    assert [len(each) for each in series] == [len(plot.data) - 1 for plot in plots] == [1, 8, 4]
-    assert [line["stroke"] for line in series[1]] == list(_COLORS)
-    assert [line["label"] for line in series[1]] == [f"cable {n}" for n in range(1, 9)]
-    assert [bool(plot.legend["show"]) for plot in plots] == [True, False, True]
-    event: Any = SimpleNamespace(client=1, target=SimpleNamespace(value=3.0))  # from a page
-    asyncio.run(controls._episode._impl.update_cb[0](event))  # type: ignore[arg-type]
-    assert (session.driving.chosen, controls._episode.value) == (2, 3)
-    controls._next_target()
-    assert (session.seed, controls._seed.value) == (1, 1)
-    session.driving.command = np.full(8, -2.0)
-    controls._show_numbers()  # after an episode began
-    assert [pull.value for pull in controls._pulls] == [2.0] * 8
-    session.driving.command = np.full(8, -1.0)
-    controls._show_numbers()
-    assert [pull.value for pull in controls._pulls] == [2.0] * 8
-    session.close()
-
-
-def test_numbers_and_plots_are_shown_now_and_then(
-    paper: Robot, server: Any, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """Numbers at most ten times a second, plots about three times; updates are those in which
-    something changed, of which every other one is here."""
-    from backends.viewers import controls as room
-
-    now, session = 100.0, Session(paper, ["mujoco"], anchor(paper))
-    monkeypatch.setattr(room, "time", SimpleNamespace(perf_counter=lambda: now))
-    controls = room.Controls(server, session, lambda do: do())
-    numbers, plots = [], []
-    inner, values = controls._show_numbers, controls._plot_values
-    monkeypatch.setattr(controls, "_show_numbers", lambda: numbers.append(now) or inner())
-    monkeypatch.setattr(controls, "_plot_values", lambda: plots.append(now) or values())
-    for n in range(1, 256):
-        now = 100 + n / 64
-        controls.show(changed=n % 2 == 0)
-    assert controls._rate == pytest.approx(32, abs=1)
-    assert min(np.diff([100.0, *numbers])) >= 0.1
-    assert len(numbers) > 30
-    assert min(np.diff([100.0, *plots])) >= 0.3
-    assert 10 < len(plots) < 14
-    shown = controls._text.content
-    assert f"{controls._rate:.0f} updates/s" in shown
-    for n in range(256, 320):  # nothing changes: no plot is drawn again
-        now = 100 + n / 64
-        controls.show(changed=False)
-    assert len(plots) < 16
-    session.close()
+        # It stands before the row, a little above the middle and beside it.
+        assert gaze[0] == -eye[0] < 0
+        aside, down = np.arctan2(gaze[1], -gaze[0]), np.arctan2(-gaze[2], np.hypot(*gaze[:2]))
+        assert 0.2 < aside < 0.5
+        assert 0.15 < down < 0.35
+        assert (eye + gaze)[2] == pytest.approx(ends[1][2] / 2)  # the middle of the arm
+        assert (eye + gaze)[1] > last.origin[1] / 2
