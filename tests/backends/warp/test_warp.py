@@ -261,3 +261,32 @@ def test_a_start_of_another_shape_is_refused(paper: Robot) -> None:
     rough = {"guide_friction": np.full((2, paper.num_cables), 0.1)}
     with pytest.raises(CdcsrError, match="warp has no friction in guides"):
         one.set_plants(rough)
+
+
+def test_a_copy_that_gets_lighter_gets_new_constants() -> None:
+    """Each body carries the masses of its own copy that come after it."""
+    one = warp(load_robot("planar-single"))
+    one.set_parameters([1, 2], Parameters(link_mass=0.5))
+    one.set_parameters([2], Parameters(link_mass=0.25))
+    with one._copies.active():
+        arrays = one._copies.plant_arrays()
+        mass, after = (arrays[name].numpy() for name in ("body_mass", "body_subtreemass"))
+    links = one._copies.host.body("link_0").id
+    np.testing.assert_allclose(after[:, links], mass[:, links:].sum(axis=1), rtol=1e-5)
+    np.testing.assert_allclose(after[:, links] / after[0, links], [1, 0.5, 0.25, 1], rtol=1e-5)
+
+
+def test_there_is_room_for_all_limits_at_once(make: Make) -> None:
+    """All sliders and hinges are past their limits, and are pushed back as in `mujoco`."""
+    planar = load_robot("planar-single")
+    start = straight(planar, NUM)
+    start.position[:, 7:11] = planar.servos[0].stop + 1e-3
+    start.position[:, 11:] = [hinge.upper + 1e-3 for hinge in planar.hinges]
+    found = []
+    for engine in (WARP, "mujoco"):
+        simulation = make(engine, planar, NUM)
+        simulation.set_snapshot(start)
+        simulation.step(np.zeros((NUM, planar.num_cables)))
+        found.append(simulation.get_snapshot().velocity[:, 6:])
+    np.testing.assert_allclose(found[0], found[1], atol=1e-3)
+    assert found[0].max() < -0.05  # all of them come back
