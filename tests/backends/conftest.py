@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from typing import Any
 
 import pytest
 
@@ -56,3 +57,13 @@ def make() -> Iterator[Make]:
     """Make simulations, and close them at the end of the test."""
     with simulations() as make:
         yield make
+
+
+@pytest.fixture
+def server() -> Iterator[Any]:
+    """Start a server of pages, which shows nothing yet."""
+    from backends.viewers.web import LocalServer
+
+    made = LocalServer("127.0.0.1", 0, verbose=False)
+    yield made
+    made.stop()

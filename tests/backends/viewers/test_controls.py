@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import asyncio
 import math
-from collections.abc import Iterator
 from types import SimpleNamespace
 from typing import Any
 
@@ -22,19 +21,17 @@ from cdcsr.robot.ruler import ruler
 from cdcsr.tasks.spaces import anchor
 from controllers.feeds import StepByStep
 from controllers.jacobian import JacobianController
+from tests.backends.physics.test_servos import TENSION
 from tests.support.controllers import Still
 from tests.support.physics import with_parts
 
 viser = pytest.importorskip("viser", reason="the extra `view` is not installed")
 
 
-@pytest.fixture
-def server() -> Iterator[Any]:
-    from backends.viewers.web import LocalServer
+def controls_of(session: Session, server: Any) -> Any:
+    from backends.viewers.controls import Controls
 
-    made = LocalServer("127.0.0.1", 0, verbose=False)
-    yield made
-    made.stop()
+    return Controls(server, session, lambda do: do())
 
 
 def from_page(element: Any, value: object) -> None:
@@ -45,11 +42,9 @@ def from_page(element: Any, value: object) -> None:
 
 def test_numbers_and_plots_are_in_their_units(paper: Robot, server: Any) -> None:
     """Distances are in [mm] and angles in [mrad]; the outcome of an episode is said."""
-    from backends.viewers.controls import Controls
-
     episodes = [Shown(np.array([0.1, 0.0, 2.5]), success) for success in (True, False)]
     session = Session(paper, ["mujoco", "pybullet"], anchor(paper), [], episodes)
-    controls = Controls(server, session, lambda do: do())
+    controls = controls_of(session, server)
     session.driving.pull(0, -4.0)
     for _ in range(20):
         session.step()
@@ -79,21 +74,16 @@ def test_numbers_and_plots_are_in_their_units(paper: Robot, server: Any) -> None
 
 def test_controls_have_the_ranges_of_the_session(paper: Robot, server: Any) -> None:
     """Cables from 0 to their full command; what is set by hand is not set back while it drives."""
-    from backends.viewers.controls import _COLORS, Controls
+    from backends.viewers.controls import _COLORS
 
     session = Session(paper, ["mujoco"], anchor(paper), [], [Shown(np.zeros(3), True)] * 3)
     sliders: dict[str, tuple[float, ...]] = {}
-    folders: dict[str, bool] = {}
-    slider, folder = server.gui.add_slider, server.gui.add_folder
+    slider = server.gui.add_slider
     server.gui.add_slider = lambda *given: sliders.update({given[0]: given[1:]}) or slider(*given)
-    server.gui.add_folder = lambda *given, **more: (
-        folders.update({given[0]: more.get("expand_by_default", True)}) or folder(*given, **more)
-    )
-    controls = Controls(server, session, lambda do: do())
+    controls = controls_of(session, server)
     assert sliders["speed"] == (0.01, 4, 0.01, 0.2)
     most = session.disturbing.strongest
     assert sliders["force of a push [N]"] == pytest.approx((0, most, most / 100, most / 2))
-    assert [name for name, opened in folders.items() if not opened] == ["Plant", "Disturbances"]
     for pull in controls._pulls:
         assert (pull.min, pull.max, pull.value) == (0, 5, 0)
         assert pull.step == pytest.approx(5 / 200)
@@ -135,7 +125,7 @@ def test_numbers_and_plots_are_shown_now_and_then(
 
     now, session = 1.0, Session(paper, ["mujoco"], anchor(paper))
     monkeypatch.setattr(room, "time", SimpleNamespace(perf_counter=lambda: now))
-    controls = room.Controls(server, session, lambda do: do())
+    controls = controls_of(session, server)
     numbers, plots, rates = [], [], []
     inner, values = controls._show_numbers, controls._plot_values
     monkeypatch.setattr(controls, "_show_numbers", lambda: numbers.append(now) or inner())
@@ -160,17 +150,19 @@ def test_numbers_and_plots_are_shown_now_and_then(
         now = 1 + n / 64
         controls.show(changed=False)
     assert len(plots) <= drawn + 1
+    for times in (numbers, plots):
+        now = 2 * times[-1]  # after a long sleep
+        controls.show(changed=True)
+        assert times[-1] == now
     session.close()
 
 
 def test_what_a_page_changes_is_shown_and_what_is_refused_goes_back(
     paper: Robot, server: Any
 ) -> None:
-    from backends.viewers.controls import Controls
-
     driver = StepByStep(Still(), paper)
     session = Session(paper, ["mujoco"], anchor(paper), [driver])
-    controls = Controls(server, session, lambda do: do())
+    controls = controls_of(session, server)
     from_page(controls._seed, 5.0)
     with pytest.raises(CdcsrError, match="whole number"):
         from_page(controls._seed, 0.5)
@@ -195,27 +187,23 @@ def test_what_a_page_changes_is_shown_and_what_is_refused_goes_back(
     controls._reset()
     controls._show_numbers()
     assert [pull.value for pull in controls._pulls] == [0.0] * 8
-    for name, slider in {**controls._plant, **controls._noise}.items():
+    sliders = {**controls._plant, **controls._noise}
+    for name, slider in sliders.items():
         from_page(slider, slider.max)
-        shown = session.plant if name in session.plant else session.disturbing.noise
-        assert shown[name] == slider.max
         slider.value = slider.max
+        assert {**session.plant, **session.disturbing.noise}[name] == slider.max
     controls._restore_plant()
     controls._clear_noise()
+    shown = {**session.plant, **session.disturbing.noise}
     for name, number in {**session.numbers, **session.disturbing.numbers}.items():
-        shown = session.plant if name in session.plant else session.disturbing.noise
-        slider = {**controls._plant, **controls._noise}[name]
-        assert slider.value == shown[name] == number.start
+        assert sliders[name].value == shown[name] == number.start
     session.close()
 
 
 def test_a_servo_that_is_told_a_tension_pulls_by_a_positive_number(server: Any) -> None:
-    from backends.viewers.controls import Controls
-
-    tension = {"kind": "tension", "gain": None, "eta": None, "largest_tension": 250.0}
-    robot = with_parts(load_robot("planar-single"), servo=tension)
+    robot = with_parts(load_robot("planar-single"), servo=TENSION)
     session = Session(robot, ["mujoco"], anchor(robot))
-    controls = Controls(server, session, lambda do: do())
+    controls = controls_of(session, server)
     assert [pull.max for pull in controls._pulls] == [250.0] * 4
     from_page(controls._pulls[1], 40.0)
     assert session.driving.command.tolist() == [0, 40, 0, 0]
@@ -292,14 +280,11 @@ def test_a_command_is_held_for_the_rest_of_its_action(paper: Robot) -> None:
 
 
 def test_pushes_fit_the_robot() -> None:
-    """A cable of the bench arm pulls with 0.25 m x 0.125 N/m at 1 mm from the axis of an arm of
-    0.12 m; a push is a step at least, and a force of zero is one."""
+    """A cable of the bench arm pulls with 0.25 m x 0.125 N/m at 1 mm from its axis."""
     bench = load_robot("bench-arm")
-    servo = bench.servos[0]
-    strongest = 2 * servo.pull * bench.segments[0].cables.pitch_radius / 0.12
+    strongest = 2 * 0.25 * 0.125 * 0.001 / 0.12
     assert Disturbing(bench, []).strongest == pytest.approx(strongest, rel=2e-3)
-    coarse = bench.model_copy(update={"time_step": 1.0})
-    disturbing = Disturbing(coarse, [])
+    disturbing = Disturbing(bench.model_copy(update={"time_step": 1.0}), [])
     disturbing.push("+x")
     assert disturbing.hold == 1
     disturbing.set_force(0.0)

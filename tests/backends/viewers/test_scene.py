@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import replace
 from types import SimpleNamespace
 from typing import Any
@@ -24,15 +24,6 @@ from cdcsr.tasks.spaces import Balls, anchor
 from cdcsr.tasks.workspace_map import Workspace, load_workspace
 
 viser = pytest.importorskip("viser", reason="the extra `view` is not installed")
-
-
-@pytest.fixture
-def server() -> Iterator[Any]:
-    from backends.viewers.web import LocalServer
-
-    made = LocalServer("127.0.0.1", 0, verbose=False)
-    yield made
-    made.stop()
 
 
 class Recorder:
@@ -262,4 +253,3 @@ def test_the_eye_sees_the_ends_of_all_robots(name: str, server: Any) -> None:
         assert 0.2 < aside < 0.5
         assert 0.15 < down < 0.35
         assert (eye + gaze)[2] == pytest.approx(ends[1][2] / 2)  # the middle of the arm
-        assert (eye + gaze)[1] > last.origin[1] / 2
