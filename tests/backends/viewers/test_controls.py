@@ -102,7 +102,7 @@ def test_controls_have_the_ranges_of_the_session(paper: Robot, server: Any) -> N
     assert [line["label"] for line in series[1]] == [f"cable {n}" for n in range(1, 9)]
     assert [bool(plot.legend["show"]) for plot in plots] == [True, False, True]
     assert {len(values) for plot in plots for values in plot.data} == {1}
-    assert {plot.scales["x"]["time"] for plot in plots} == {False}  # no dates
+    assert {plot.scales["x"]["time"] for plot in plots} == {False}
     from_page(controls._episode, 3.0)
     assert (session.driving.chosen, controls._episode.value) == (2, 3)
     controls._next_target()
@@ -144,7 +144,7 @@ def test_numbers_and_plots_are_shown_now_and_then(
     assert 11 < len(plots) < 15
     shown = controls._text.content
     assert f"{controls._rate:.0f} updates/s" in shown
-    assert "apart" not in shown  # of one engine
+    assert "apart" not in shown
     drawn = len(plots)
     for n in range(321, 385):  # nothing changes: no plot is drawn again
         now = 1 + n / 64
