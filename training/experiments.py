@@ -40,7 +40,7 @@ def experiments(
 
     Finished runs are skipped, and a run that several experiments need is trained once. However the
     command is stopped, the same command resumes the work; a run loses at most the work since the
-    last point of its learning curve, on a GPU since a minute more.
+    last point of its learning curve. On a GPU some points may be lost: those of the last minute.
 
     Args:
         names: experiments, or "all"; --list shows them.

@@ -36,7 +36,7 @@ class Beginnings:
         device: where everything is.
 
     Attributes:
-        tensors: all that changes, by name, with S as the first axis.
+        tensors: all that changes, by name; S is the first axis of all but a count.
     """
 
     def __init__(
@@ -118,8 +118,7 @@ class Beginnings:
 
     def arriving(self, command: Tensor) -> Tensor:
         """Send commands, shape (S N, C), and return those that arrive in this time step."""
-        if self._delay is None:
-            return command
+        assert self._delay is not None
         sent, count = self.tensors["sent"].flatten(0, 1), self.tensors["sent_count"]
         ring = sent.shape[1]
         sent.index_copy_(1, (count % ring)[None], command[:, None])

@@ -259,6 +259,10 @@ def test_a_start_of_another_shape_is_refused(paper: Robot) -> None:
         one.set_start_device(position, position)
     with pytest.raises(CdcsrError, match=r"start's position must have the shape \(4, 39\)"):
         one.set_start_device(position[:3], velocity)
+    with pytest.raises(
+        CdcsrError, match=r"position must have the shape .*be float32 and be on cpu"
+    ):
+        one.set_start_device(position.double(), velocity)
     rough = {"guide_friction": np.full((2, paper.num_cables), 0.1)}
     with pytest.raises(CdcsrError, match="warp has no friction in guides"):
         one.set_plants(rough)

@@ -189,6 +189,19 @@ def test_episodes_that_diverge_are_dropped() -> None:
     both.close()
 
 
+def test_a_learner_that_diverges_does_not_stop_those_beside_it() -> None:
+    both = _Collected(max_steps=100)
+    both.layers[0].weight.detach()[0] = torch.nan
+    both.collector.start(both.layers, None)
+    for _ in range(3):
+        both.collector.step()
+    # Its copies are lost, begin anew, and are lost again.
+    assert both.collector.tensors["diverged"].tolist() == [2 * COPIES, 0]
+    assert not both.replay.tensors["begins"][:3, 0].any()
+    assert torch.isfinite(both.replay.tensors["observation"][:3]).all()
+    both.close()
+
+
 def test_a_run_collects_alone_what_it_collects_beside_others() -> None:
     both, alone = _Collected((0, 1), max_steps=100), _Collected((1,), max_steps=100)
     for each in (both, alone):

@@ -58,8 +58,9 @@ def carry_out_on_gpu(
             failed |= wrong
             print(f"{what}: {len(wrong)} failed, first: {next(iter(wrong.values()))}", flush=True)
             continue
-        minutes = (time.monotonic() - started) / 60
-        print(f"{what}: trained in {duration(minutes)}", flush=True)
+        if all((runs / job.name / SUMMARY).is_file() for job in group):
+            minutes = (time.monotonic() - started) / 60
+            print(f"{what}: trained in {duration(minutes)}", flush=True)
     outcome = carry_out_here([job for job in jobs if job.name not in failed], runs, results, slots)
     outcome.failed |= failed
     return outcome
